@@ -20,22 +20,36 @@ window.headland = (() => {
     const body = byId("rows-" + name);
     if (!body) return;
     while (body.children.length > rows.length) body.lastChild.remove();
-    rows.forEach(([key, label, value, symbol, level], k) => {
+    rows.forEach(([key, label, value, sign, level, symbol], k) => {
       let row = body.children[k];
       if (!row) {
         row = document.createElement("div");
         row.append(...["dt", "dd"].map((tag) => document.createElement(tag)));
+        row.firstChild.append(document.createElement("span"));
         body.append(row);
       }
       row.dataset.key = key;
       row.className = "hl-row hl-" + level;
-      text(row.children[0], label);
-      text(row.children[1], symbol ? symbol + " " + value : value);
+      text(row.firstChild.lastChild, label);
+      showSymbol(row.firstChild, symbol || "");
+      text(row.children[1], sign ? sign + " " + value : value);
     });
   }
 
-  function showState([mode, level, cause, next]) {
+  function showSymbol(element, name) { // before the text of an element, from the sprite of the page
+    if ((element.dataset.symbol || "") === name) return;
+    element.dataset.symbol = name;
+    element.querySelector("svg")?.remove();
+    if (!name) return;
+    const [svg, use] = ["svg", "use"].map((tag) => document.createElementNS("http://www.w3.org/2000/svg", tag));
+    svg.setAttribute("class", "hl-symbol"); svg.setAttribute("aria-hidden", "true");
+    use.setAttribute("href", "#symbol-" + name);
+    svg.append(use); element.prepend(svg);
+  }
+
+  function showState([mode, level, cause, next, symbol]) {
     byId("state").className = "hl-mode hl-" + level;
+    showSymbol(byId("state"), symbol);
     text(byId("mode"), mode);
     text(byId("cause"), cause);
     text(byId("next"), next);
