@@ -132,6 +132,7 @@ window.headland = (() => {
     still.plan.forEach((path) => stroke(context, path, toPx, "#7a8594", 1));
     (still.sections || []).forEach(([kind, path]) => stroke(context, path, toPx, SECTION_COLORS[kind] || "#333", kind === "turn" ? 1 : 2));
     map.paths.forEach((path) => stroke(context, path, toPx, "#1d4ed8", 2));
+    stroke(context, still.guide, toPx, "#6b1fa3", 3, false, [14, 6]);
     stroke(context, still.boundary, toPx, "#14532d", 3, true);
     stroke(context, still.yard, toPx, "#555", 2, true, [8, 6]);
     still.lanes.forEach((lane) => stroke(context, lane, toPx, "#555", 2, false, [2, 6]));
