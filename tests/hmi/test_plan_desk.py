@@ -17,6 +17,7 @@ import shapely
 
 from configs.site import DatumConfig
 from hmi.page_state import PageState
+from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import MISSION, PLAN
 from hmi.plan_view.options import choices, default_work, options_of, read_mission
 from hmi.refusal import Refused
