@@ -70,7 +70,7 @@ class FoxgloveServer:
                 self._newest[number] = message
                 for client in self._clients:
                     client.put(number, message)
-        for client in self._clients:
+        for client in self._clients if self._newest else ():  # there is no time before the first message
             client.put_frame(struct.pack("<BQ", TIME, max(0, now_ns)))
 
     def forget(self) -> None:

@@ -23,7 +23,7 @@ def test_a_symbol_is_lines_in_the_colour_of_the_text(name: str) -> None:
     root = ElementTree.fromstring(f"<svg>{SYMBOLS[name]}</svg>")
     shapes = list(root.iter())[1:]
     assert {shape.tag for shape in shapes} <= SHAPES
-    assert not any({"fill", "stroke", "style"} & shape.keys() for shape in shapes)
+    assert not any({"fill", "stroke", "style"} & set(shape.keys()) for shape in shapes)
     assert len(set(SYMBOLS.values())) == len(SYMBOLS)
 
 
