@@ -7,6 +7,8 @@ line, a row is driven, and an emergency stop ends it. The machine's day and time
 """
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -77,6 +79,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("docs/hmi"))
     parser.add_argument("--quality", type=int, default=55, help="of WebP, 1 to 100")
     arguments = parser.parse_args()
+    if not subprocess.run(["fc-list", ":lang=zh"], capture_output=True, check=True).stdout:
+        sys.exit("screenshots: no font for Chinese; Debian has fonts-noto-cjk")
     arguments.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -125,7 +129,7 @@ def plan(pictures: Pictures, field: Path) -> None:
     wait_for(page, "#hint", "0 of 2")
     box = page.locator("#map").bounding_box()
     for k, x in enumerate((0.35, 0.65)):
-        page.mouse.click(box["x"] + x * box["width"], box["y"] + 0.8 * box["height"])
+        page.locator("#map").click(position={"x": x * box["width"], "y": 0.7 * box["height"]})
         wait_for(page, "#hint", f"{k + 1} of 2|^corner field$")
     page.click("#plan:not([disabled])")
     page.wait_for_selector("#rows-plan [data-key=length]", timeout=300_000.0)

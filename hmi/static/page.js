@@ -217,7 +217,10 @@ window.headland = (() => {
     if (updatedMs - answeredMs > ANSWER_MS) { answeredMs = updatedMs; window.headlandControls.send({action: "present"}); }
     if (shown.clear) { map.trail = []; map.edges = []; }
     if (shown.still) showStill(shown.still);
-    if (shown.draft !== undefined) map.draft = shown.draft;
+    if (shown.draft !== undefined) {
+      if (shown.draft && !map.draft) byId("map").scrollIntoView({block: "nearest"}); // it waits for clicks
+      map.draft = shown.draft;
+    }
     if (shown.trail) map.trail.push(...shown.trail);
     if (shown.edges) map.edges.push(...shown.edges);
     if (shown.map) map.moving = shown.map;

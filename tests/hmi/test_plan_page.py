@@ -177,7 +177,7 @@ def test_rows_follow_a_guidance_line_that_is_drawn(anna: Any) -> None:
     box = anna.locator("#map").bounding_box()
 
     def click(x: float, y: float) -> None:
-        anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        anna.locator("#map").click(position={"x": x * box["width"], "y": y * box["height"]})
 
     anna.click("#ab:not([disabled])")
     wait_for(anna, "#hint", "0 of 2")
