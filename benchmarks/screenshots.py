@@ -31,7 +31,7 @@ line: {speed_kmh: 5, legs: [{length_m: 52.0, is_working: true}]}
 """
 LANGUAGES = {"en": "en-US", "zh": "zh-CN"}
 DRIVEN = r"^2\d\D"  # m, when the pictures of the drive are taken
-SETTLED_MS = 1500.0
+SETTLED_MS, PATIENCE_MS = 1500.0, 300_000.0
 
 
 class Pictures:
@@ -40,6 +40,7 @@ class Pictures:
     def __init__(self, browser: Browser, process: PageProcess, out: Path, quality: int) -> None:
         self._url, self._out, self._quality = process.url, out, quality
         self.operator = browser.open("tablet")
+        self.operator.set_default_timeout(PATIENCE_MS)
         log_in(self.operator, process, "anna", PASSWORD)
         self.operator.click("[data-hl=seat-button]")
         wait_for(self.operator, "[data-hl=seat]", "You have control")
@@ -48,6 +49,7 @@ class Pictures:
         for size in SIZES:
             for language, locale in LANGUAGES.items():
                 page = browser.open(size, locale)
+                page.set_default_timeout(PATIENCE_MS)
                 page.goto(f"{process.url}log-in?lang={language}")
                 self._take(page, f"log-in-{size}-{language}")
                 page.context.add_cookies(cookies)
@@ -60,10 +62,11 @@ class Pictures:
             page.wait_for_selector(shown)
 
     def take(self, name: str) -> None:
-        """Takes the pictures of the view that is open."""
+        """Takes the pictures of the view that is open, and closes it."""
         self.operator.wait_for_timeout(SETTLED_MS)
         for key, page in self._pages.items():
             self._take(page, f"{name}-{key}")
+            page.goto("about:blank")
 
     def _take(self, page: Any, name: str) -> None:
         image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
@@ -132,7 +135,7 @@ def plan(pictures: Pictures, field: Path) -> None:
         page.locator("#map").click(position={"x": x * box["width"], "y": 0.7 * box["height"]})
         wait_for(page, "#hint", f"{k + 1} of 2|^corner field$")
     page.click("#plan:not([disabled])")
-    page.wait_for_selector("#rows-plan [data-key=length]", timeout=300_000.0)
+    page.wait_for_selector("#rows-plan [data-key=length]")
     page.click("#store:not([disabled])")
     page.wait_for_selector("#table-missions tbody td")
     pictures.open("plan", "#table-missions tbody td")
