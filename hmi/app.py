@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import math
 import socket
 import time
 from pathlib import Path
@@ -44,7 +43,7 @@ STATIC = Path(__file__).parent / "static"
 LOG = logging.getLogger(__name__)
 STORE_S = 1.0  # between two transactions of the statistics
 PRESENT_S = 2.0  # an answer of the operator's page counts for so long
-BEAT_S = 1.0  # between two signed messages that the operator is there
+BEAT_S = 1.0  # of the machine, between two signed messages that the operator is there
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
 
 
@@ -59,7 +58,7 @@ class PageApp:
         self._drive_error = ""
         self._stored: Totals | None = None
         self._stored_s = 0.0
-        self._beat_s = -math.inf
+        self._beat_ns = 0
         self._need = NeedWatch(parts.config.notification.after_s)
         self.notifications = NotificationSender(parts.config.notification)
         self._keeper: ProgressKeeper | None = None
@@ -111,8 +110,8 @@ class PageApp:
         sender, status = self.parts.sender, self.state.fresh("order_status", OrderStatus)
         if self.parts.is_switching or sender is None or status is None or now_s - self.parts.present_s > PRESENT_S:
             return
-        if now_s - self._beat_s >= BEAT_S:
-            self._beat_s = now_s
+        if abs(self.state.now_ns - self._beat_ns) >= BEAT_S * 1e9:
+            self._beat_ns = self.state.now_ns
             sender.send("present", status, self.state.now_ns, self.parts.config.order_valid_s)
 
     def _notify(self, now_s: float) -> None:

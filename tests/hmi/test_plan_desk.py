@@ -446,7 +446,7 @@ def test_rows_lie_along_the_guidance_line_of_the_file_or_a_drawn_one(tmp_path: P
             assert aside_m / width_m == pytest.approx(round(aside_m / width_m), abs=0.02)
 
     async def drive() -> None:
-        desk = desk_in(tmp_path, PLANNER)
+        desk = desk_in(tmp_path, PLANNER, 600.0)
         desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"lines.geojson": text})
         assert [(line.number, line.name) for line in desk.lines] == [("1", "1 A")]
