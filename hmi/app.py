@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import math
 import socket
 import time
 from pathlib import Path
@@ -44,7 +43,7 @@ STATIC = Path(__file__).parent / "static"
 LOG = logging.getLogger(__name__)
 STORE_S = 1.0  # between two transactions of the statistics
 PRESENT_S = 2.0  # an answer of the operator's page counts for so long
-BEAT_S = 1.0  # between two signed messages that the operator is there
+BEAT_S = 1.0  # of the machine, between two signed messages that the operator is there
 CONNECT_S = 30.0  # for a browser to connect after it has loaded the page
 
 
@@ -59,7 +58,7 @@ class PageApp:
         self._drive_error = ""
         self._stored: Totals | None = None
         self._stored_s = 0.0
-        self._beat_s = -math.inf
+        self._beat_ns = 0
         self._need = NeedWatch(parts.config.notification.after_s)
         self.notifications = NotificationSender(parts.config.notification)
         self._keeper: ProgressKeeper | None = None
@@ -97,6 +96,7 @@ class PageApp:
             self.report(False)
         self._send_presence(now_s)
         self._notify(now_s)
+        self._show_views(is_restarted)
         moment = Moment(self.parts, self.state, self.alarms, self.topics, self.bus, is_restarted, self._drive_error)
         for key, page in list(self.pages.items()):
             try:
@@ -110,8 +110,8 @@ class PageApp:
         sender, status = self.parts.sender, self.state.fresh("order_status", OrderStatus)
         if self.parts.is_switching or sender is None or status is None or now_s - self.parts.present_s > PRESENT_S:
             return
-        if now_s - self._beat_s >= BEAT_S:
-            self._beat_s = now_s
+        if abs(self.state.now_ns - self._beat_ns) >= BEAT_S * 1e9:
+            self._beat_ns = self.state.now_ns
             sender.send("present", status, self.state.now_ns, self.parts.config.order_valid_s)
 
     def _notify(self, now_s: float) -> None:
@@ -121,6 +121,18 @@ class PageApp:
             now = standing(self.state, texts_of(config.language), self.parts.rule_text_zh)
             self.notifications.put(notification_of(drive.scene.vehicle.name, clock_text(time.time()), now))
         self.parts.notification_error = self.notifications.error
+
+    def _show_views(self, is_restarted: bool) -> None:
+        """Gives the viewer topics to the Foxglove server; an error there does not reach the pages."""
+        server, feed = self.parts.foxglove, self.parts.drive.feed
+        if server is None:
+            return
+        try:
+            if is_restarted:
+                server.forget()
+            server.put(feed.views(server.read), feed.now_ns)
+        except Exception:
+            LOG.exception("the viewer topics are not sent")
 
     def _take_drive(self) -> bool:
         """Shows a drive that has begun; whether there is one."""
@@ -235,6 +247,9 @@ def make_app(parts: PageParts, hosts: frozenset[str] = LOOPBACK) -> FastAPI:
     for kind in (DrivePage, PlanPage, SetupPage, CalibrationPage, DiagnosisPage, StatisticsPage):
         add_page(kind)
     nicegui_app.on_startup(lambda: asyncio.create_task(page_app.run()))
+    server = parts.foxglove
+    if server is not None:
+        nicegui_app.on_startup(lambda: asyncio.create_task(server.run()))
     nicegui_app.on_shutdown(page_app.store_statistics)
     nicegui_app.on_shutdown(lambda: page_app.report(True))
     ui.run_with(

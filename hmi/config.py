@@ -24,6 +24,10 @@ class PageConfig(Config):
 
     port: int = Field(ge=0, le=65535)
     stop_port: int = Field(ge=0, le=65535, description="of the emergency stop, a process of its own")
+    foxglove_port: int | None = Field(
+        ge=0, le=65535, description="of the Foxglove server on the loopback interface; null: none"
+    )
+    foxglove_origins: tuple[str, ...] = Field(description="pages that may connect to it, such as that of Lichtblick")
     period_s: float = Field(ge=0.1, le=5.0, description="between two updates of all pages")
     order_valid_s: float = Field(gt=0.0, le=60.0)
     confirmation_valid_s: float = Field(gt=0.0, le=60.0, description="at most modes.max_confirmation_s")

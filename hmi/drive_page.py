@@ -15,6 +15,7 @@ from hmi.page_state import PageState
 from hmi.parts import Moment, PageParts
 from hmi.replay_bar import ReplayBar
 from hmi.shown import ROWS
+from hmi.symbols import sprite, symbol
 from hmi.texts import Texts
 from hmi.view import VIEWS, View
 from messages.command import OrderStatus
@@ -43,6 +44,7 @@ class DrivePage(View):
 
     def build_main(self) -> None:
         """Builds state, orders, map and values."""
+        ui.html(sprite(), sanitize=False)
         with ui.element("div").classes("hl-act"):
             ui.html(self._state_card(), sanitize=False)
             self._build_orders()
@@ -109,6 +111,8 @@ class DrivePage(View):
             button = ui.button(self.texts(f"order.{order}"), on_click=lambda: self._press(order), color=None)
             button.classes("hl-button" + (" hl-go" if order in GO else ""))
             note = ui.label("").classes("hl-note").props(f'data-hl="why-{order}"')
+            with button:
+                ui.html(symbol(order), sanitize=False).classes("hl-symbol-box")
             button.props(f'unelevated no-caps data-hl="order-{order}" aria-describedby="{note.html_id}"')
         button.set_enabled(False)  # until the first update: a press before it would be lost
         self._buttons[order] = button, note

@@ -12,6 +12,7 @@ from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qs, urlsplit
 
+from hmi.symbols import SYMBOLS
 from hmi.texts import Texts, texts_of
 
 DATAGRAM = bytes(96) + json.dumps({"order": "emergency_stop"}).encode()
@@ -21,6 +22,7 @@ REQUEST_S = 5.0
 MAX_BODY = 1024
 CHECK_S = 1.0
 
+SYMBOL = f'<svg viewBox="0 0 24 24" aria-hidden="true">{SYMBOLS["emergency_stop"]}</svg>'
 PAGE = """<!DOCTYPE html>
 <html lang="{lang}"><head><meta charset="utf-8"><title>{title}</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -29,11 +31,14 @@ body {{ margin: 0; background: #fff; color: #111; font: 700 18px/1.3 sans-serif;
 form {{ margin: 0; }}
 button {{ display: block; width: 100%; height: 64px; border: 4px solid #111; border-radius: 8px; background: #a30014;
   color: #fff; font: 700 26px/1 sans-serif; cursor: pointer; }}
+button svg {{ width: 36px; height: 36px; margin-right: 12px; vertical-align: middle; fill: none; stroke: currentColor;
+  stroke-width: 2; }}
 button:focus-visible {{ outline: 4px solid #111; outline-offset: -10px; }}
 p {{ margin: 0; height: 24px; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; text-align: center;
   font-size: 16px; }}
 </style></head>
-<body><form method="post" action="/stop?lang={lang}"><button type="submit" id="emergency-stop">{press}</button></form>
+<body><form method="post" action="/stop?lang={lang}"><button type="submit" id="emergency-stop">{symbol}{press}</button>
+</form>
 <p role="status">{result}</p></body></html>
 """
 
@@ -122,7 +127,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, code: int, result: str) -> None:
         texts = self._texts
         words = {"title": texts("stop.title"), "press": texts("stop.press"), "result": result}
-        body = PAGE.format(lang=texts.language, **{key: escape(word) for key, word in words.items()}).encode()
+        shown = {key: escape(word) for key, word in words.items()}
+        body = PAGE.format(lang=texts.language, symbol=SYMBOL, **shown).encode()
         self.send_response(code)
         self.send_header("Content-Type", "text/html; charset=utf-8")
         self.send_header("Content-Length", str(len(body)))

@@ -32,6 +32,20 @@ def is_recorded(topic: str) -> bool:
     return topic.partition("/")[0] in RECORDED
 
 
+@dataclass(frozen=True)
+class ViewMessage:
+    """Protobuf message of a viewer topic `/view/...`, with name and FileDescriptorSet of its schema.
+
+    Without `data` it says that the topic is there.
+    """
+
+    topic: str
+    schema_name: str
+    schema: bytes
+    stamp_ns: int
+    data: bytes | None
+
+
 class Feed(ABC):
     """Messages since the last call, in order; `now_ns` is the present time of the machine or of the log.
 
@@ -47,6 +61,10 @@ class Feed(ABC):
     @abstractmethod
     def poll(self) -> Iterable[Envelope]:
         """New messages of shown topics."""
+
+    def views(self, read: frozenset[str] | None) -> Iterable[ViewMessage]:
+        """Viewer messages of the last call of `poll`; `read` are the topics that are needed next, None: no client."""
+        return ()
 
     @property
     def playback(self) -> "Playback | None":

@@ -18,6 +18,7 @@ from hmi.diagnosis.run_files import Run, runs_of
 from hmi.diagnosis.topic_table import TopicTable
 from hmi.drive_view.standing import RuleText
 from hmi.feed import Feed
+from hmi.foxglove import FoxgloveServer
 from hmi.orders import OrderSender
 from hmi.page_state import PageState
 from hmi.plan_view.desk import PlanDesk
@@ -97,6 +98,7 @@ class PageParts:
     progress_error: str = ""
     notification_error: str = ""
     url: str = ""  # of the page
+    foxglove: FoxgloveServer | None = None
     is_switching: bool = False  # a drive has been asked for that has not begun: the present one gets no order
     present_s: float = -math.inf  # when a page of the operator in control answered last
     _read: dict[str, tuple[float, Any]] = field(default_factory=dict)

@@ -18,6 +18,7 @@ from hmi.scene import Scene
 from hmi.view import View
 
 AREAS = (("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("remove_areas", "plan.remove_areas"))
+RINGS = ("outline", "driven", "no_go")  # drawings that are closed
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
 SIDES = ("left", "right", "middle")  # of the implement, along the edge of a field that is recorded
@@ -58,7 +59,7 @@ class PlanPage(View):
             "draft": desk.drawing.points_m if desk.drawing.kind else None,
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
-                "consent": self._consent(),
+                "consent": self._consent(), "line": self._line(),
             },
             "controls": self._controls(barred),
             "rows.plan": [[r.key, r.label, r.value, texts(f"level.{r.level}"), r.level] for r in self._rows()],
@@ -86,8 +87,14 @@ class PlanPage(View):
                 desk.draw("driven", self._side)
             case "side" if value in SIDES:
                 self._side = value
-            case "no_go" | "gate":
+            case "no_go" | "gate" | "ab":
                 desk.draw(action)
+            case "a_plus":
+                desk.draw_a_plus(value)
+            case "guidance":
+                desk.choose_line(value)
+            case "remove_line":
+                desk.remove_line()
             case "remove_areas":
                 desk.remove_areas()
             case "corner":
@@ -140,6 +147,15 @@ class PlanPage(View):
         height = number(100.0 * consent.vegetation_m, 0, "cm")
         return self.texts("plan.consent", height=height, name=consent.by)
 
+    def _line(self) -> str:
+        """The guidance line of the rows."""
+        options, texts = self.parts.desk.options, self.texts
+        if options.guidance is not None:
+            return texts("plan.line_of_file", number=options.guidance)
+        if options.through_m is None or options.heading_deg is None:
+            return ""
+        return texts("plan.line_drawn", heading=number(options.heading_deg, 2, "°"))
+
     def _progress(self) -> str:
         job = self.parts.desk.job
         if job is None:
@@ -155,6 +171,9 @@ class PlanPage(View):
         headings = sorted({f"{h}" for h in HEADINGS} | {heading} - {""}, key=float)
         height = "" if options.consent is None else f"{100.0 * options.consent.vegetation_m:.0f}"
         heights = [["", self.texts("plan.no_consent")], *([f"{h}", f"{h}\u202fcm"] for h in HEIGHTS_CM)]
+        lines = [["", self.texts("plan.no_line")], *([line.number, line.name] for line in desk.lines)]
+        if options.guidance is not None and not desk.lines:  # of a stored mission, whose file is not read again
+            lines.append([options.guidance, options.guidance])
         values: dict[str, tuple[str, list[list[str]]]] = {
             "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
             "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
@@ -162,20 +181,26 @@ class PlanPage(View):
             "turns": (options.turns, [[n, self.texts(f"turns.{n}")] for n in choices()["turns"]]),
             "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
             "vegetation_cm": (height, heights),
+            "guidance": (options.guidance or "", lines),
             "heading_deg": (heading, [["", self.texts("plan.auto")], *([h, f"{h}°"] for h in headings)]),
         }  # fmt: skip
         found: dict[str, Any] = {
             name: {"off": is_off, "value": value, "choices": listed} for name, (value, listed) in values.items()
         }
         found["feature"]["hidden"] = len(desk.features) < 2
+        found["guidance"]["hidden"] = len(lines) < 2
+        found["heading_deg"]["hidden"] = options.guidance is not None
         found |= {
             "field-file": {"off": is_off}, "draw": {"off": is_off},
             "drive": {"off": is_off},
             "side": {"off": is_off, "value": self._side, "choices": [[n, self.texts(f"edge.{n}")] for n in SIDES]},
             "no_go": {"off": is_off or desk.outline is None}, "gate": {"off": is_off or desk.outline is None},
             "remove_areas": {"off": is_off, "hidden": not desk.no_go_m and desk.gate_m is None},
-            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate")},
-            "close": {"off": is_off or len(desk.drawing.points_m) < 3, "hidden": desk.drawing.kind in ("", "gate")},
+            "ab": {"off": is_off or desk.outline is None}, "a_plus": {"off": is_off or desk.outline is None},
+            "a_plus_deg": {"off": is_off or desk.outline is None},
+            "remove_line": {"off": is_off, "hidden": options.through_m is None and options.guidance is None},
+            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate", "a_plus")},
+            "close": {"off": is_off or len(desk.drawing.points_m) < 3, "hidden": desk.drawing.kind not in RINGS},
             "plan": {"off": is_off or desk.outline is None},
             "cancel": {"off": bool(barred), "hidden": desk.job is None},
             "mission-name": {"off": is_off or desk.plan is None or desk.stored is not None},
@@ -259,9 +284,17 @@ class PlanPage(View):
         return self.card("field", f"{upload}{note}{select}{pairs}")
 
     def _options_card(self) -> str:
-        names = ("machine", "implement", "headland_passes", "turns", "heading_deg", "vegetation_cm")
+        names = ("machine", "implement", "headland_passes", "turns", "heading_deg", "guidance")
+        selects = "".join(self.select(name, f"plan.{name}") for name in names)
+        heading = '<input id="a_plus_deg" inputmode="decimal" maxlength="20" autocomplete="off">'
+        label = f"<label>{escape(self.texts('plan.a_plus_deg'))}{heading}</label>"
+        buttons = (
+            self.button("ab", "plan.ab") + self.button("a_plus", "plan.a_plus", taken_from="a_plus_deg")
+            + self.button("remove_line", "plan.remove_line")
+        )  # fmt: skip
+        line = f'<p id="line"></p>{label}<div class="hl-pair">{buttons}</div>'
         note = f'<p class="hl-note">{escape(self.texts("plan.consent_note"))}</p><p id="consent"></p>'
-        return self.card("options", "".join(self.select(name, f"plan.{name}") for name in names) + note)
+        return self.card("options", selects + line + self.select("vegetation_cm", "plan.vegetation_cm") + note)
 
     def _plan_card(self) -> str:
         texts = self.texts

@@ -31,10 +31,10 @@ EMPTY = {"obstacles": "obstacle.none", "alarms": "alarm.none"}
 
 def shown_of(state: PageState, texts: Texts, rule_text_zh: RuleText, playback: Playback | None) -> dict[str, Any]:
     """Sections of the page for JSON, and under `unavailable` the orders that cannot be given with the reason."""
-    standing_now = standing(state, texts, rule_text_zh)
+    now = standing(state, texts, rule_text_zh)
     control = deviation(state)
     shown: dict[str, Any] = {name: _listed(rows(state, texts), name, texts) for name, rows in ROWS.items()}
-    shown["state"] = [standing_now.mode, standing_now.level, standing_now.cause, standing_now.next_step]
+    shown["state"] = [now.mode, now.level, now.cause, now.next_step, now.symbol]
     shown["bar"] = None if control is None else round(100.0 * control.xte_m, 1)
     shown["map"] = moving_map(state, texts)
     shown["paths"] = path_map(state)
@@ -46,8 +46,8 @@ def shown_of(state: PageState, texts: Texts, rule_text_zh: RuleText, playback: P
 
 def _listed(rows: list[Row], name: str, texts: Texts) -> list[list[str]]:
     if not rows and name in EMPTY:
-        return [["", texts(EMPTY[name]), "", "", "plain"]]
-    return [[row.key, row.label, row.value, texts(f"level.{row.level}"), row.level] for row in rows]
+        return [["", texts(EMPTY[name]), "", "", "plain", ""]]
+    return [[row.key, row.label, row.value, texts(f"level.{row.level}"), row.level, row.symbol] for row in rows]
 
 
 def _clock(seconds: float) -> str:

@@ -8,6 +8,7 @@ from hmi.texts import Texts
 from messages.command import MachineState
 
 LOW_SUPPLY_V = 11.0
+SYMBOLS = {"hitch": "hitch_up", "pto": "pto_off"}  # of an unknown state
 ROWS = (
     ("steering", "steering_stamp_ns"), ("hitch", "implement_stamp_ns"), ("pto", "implement_stamp_ns"),
     ("fold", "implement_stamp_ns"), ("park_brake", "cab_stamp_ns"), ("brake_pedal", "cab_stamp_ns"),
@@ -20,12 +21,20 @@ def machine_rows(state: PageState, texts: Texts) -> list[Row]:
     """One row for each actuator and input of the cab; unknown where its group of frames was never received."""
     machine = state.fresh("machine", MachineState)
     if machine is None:
-        return [Row(key, texts(f"machine.{key}"), UNKNOWN, "warning") for key, _ in ROWS]
+        return [Row(key, texts(f"machine.{key}"), UNKNOWN, "warning", SYMBOLS.get(key, key)) for key, _ in ROWS]
     rows = []
     for key, stamp in ROWS:
         value, level = _value(key, machine, texts) if getattr(machine, stamp) else (UNKNOWN, "warning")
-        rows.append(Row(key, texts(f"machine.{key}"), value, level))
+        rows.append(Row(key, texts(f"machine.{key}"), value, level, _symbol(key, machine)))
     return rows
+
+
+def _symbol(key: str, machine: MachineState) -> str:
+    if key == "hitch":
+        return "hitch_work" if machine.is_hitch_in_work else "hitch_up"
+    if key == "pto":
+        return "pto_on" if machine.is_pto_engaged else "pto_off"
+    return key
 
 
 def _value(key: str, machine: MachineState, texts: Texts) -> tuple[str, Level]:

@@ -23,7 +23,8 @@ def motion_rows(state: PageState, texts: Texts) -> list[Row]:
         "speed": UNKNOWN if odometry is None else number(3.6 * odometry.speed_mps, 1, "km/h"),
         "heading": heading, "xte": xte, "heading_error": turned, "steering": _steering(state, texts),
     }  # fmt: skip
-    return [Row(key, texts(f"motion.{key}"), value) for key, value in values.items()]
+    symbols = {"steering": "steering"}
+    return [Row(key, texts(f"motion.{key}"), value, symbol=symbols.get(key, "")) for key, value in values.items()]
 
 
 def work_rows(state: PageState, texts: Texts) -> list[Row]:

@@ -21,8 +21,8 @@ def position_rows(state: PageState, texts: Texts) -> list[Row]:
     return (rows or [_row("solution", texts, texts("position.silent"), "alarm")]) + _pose(state, texts)
 
 
-def _row(key: str, texts: Texts, value: str, level: Level = "plain") -> Row:
-    return Row(key, texts(f"position.{key}"), value, level)
+def _row(key: str, texts: Texts, value: str, level: Level = "plain", symbol: str = "") -> Row:
+    return Row(key, texts(f"position.{key}"), value, level, symbol)
 
 
 def _receiver(state: PageState, topic: str, texts: Texts) -> list[Row]:
@@ -34,7 +34,7 @@ def _receiver(state: PageState, topic: str, texts: Texts) -> list[Row]:
     constellations = f" ({fix.constellations})" if fix.constellations else ""
     return [
         _row("solution", texts, texts(f"solution.{fix.solution.name.lower()}"),
-             SOLUTION_LEVELS.get(fix.solution, "warning")),
+             SOLUTION_LEVELS.get(fix.solution, "warning"), "gnss"),
         _row("satellites", texts, satellites + constellations),
         _row("link", texts, texts(f"link.{link}"), LINK_LEVELS[link]),
         _row("correction_age", texts, number(fix.correction_age_s, 1, "s")),

@@ -10,12 +10,13 @@ UNKNOWN = "–"
 
 @dataclass(frozen=True)
 class Row:
-    """A value with its label; `level` is shown by a symbol and by colour."""
+    """A value with its label; `level` is shown by a sign and by colour, `symbol` is one of `hmi/symbols.py`."""
 
     key: str
     label: str
     value: str
     level: Level = "plain"
+    symbol: str = ""
 
 
 def number(value: float, digits: int, unit: str) -> str:

@@ -21,26 +21,27 @@ LEVELS: dict[Mode, Level] = {
 
 @dataclass(frozen=True)
 class Standing:
-    """Mode, cause of standing or of the speed limit, and the next step with who takes it."""
+    """Mode with its symbol, cause of standing or of the speed limit, and the next step with who takes it."""
 
     mode: str
     level: Level
     cause: str
     next_step: str
+    symbol: str
 
 
 def standing(state: PageState, texts: Texts, rule_text_zh: RuleText) -> Standing:
     """What the supervisor does and why; no data is an alarm."""
     supervisor = state.fresh("supervisor", SupervisorState)
     if supervisor is None:
-        return Standing(texts("mode.no_data"), "alarm", _silence(state, texts), texts("next.no_data"))
+        return Standing(texts("mode.no_data"), "alarm", _silence(state, texts), texts("next.no_data"), "no_data")
     mode = supervisor.mode
     cause = _cause(state, supervisor, texts, rule_text_zh)
     level = LEVELS.get(mode, "plain")
     orders = state.fresh("order_status", OrderStatus)
     if mode is Mode.STANDBY and orders is not None and orders.is_forbidden:
-        return Standing(texts(f"mode.{mode}"), level, texts("cause.forbidden"), texts("next.forbidden"))
-    return Standing(texts(f"mode.{mode}"), level, cause, _next_step(supervisor, texts))
+        return Standing(texts(f"mode.{mode}"), level, texts("cause.forbidden"), texts("next.forbidden"), "forbid")
+    return Standing(texts(f"mode.{mode}"), level, cause, _next_step(supervisor, texts), str(mode))
 
 
 def is_ready(supervisor: SupervisorState) -> bool:

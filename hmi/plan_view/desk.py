@@ -4,7 +4,7 @@ import asyncio
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,20 @@ from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
 
 MIN_CORNERS = 3
+MIN_LINE_M, GUIDE_M = 1.0, 2000.0  # least distance of A and B; drawn to both sides of A
 MAX_FIELD_BYTES = 20_000_000
 MAX_FILES = 20
 MAX_NOTE = 300
 MAX_AT_M = 20_000.0  # from the origin of the map
+
+
+@dataclass(frozen=True)
+class FileLine:
+    """A straight guidance line of the field file: its number and name, and two points in `map`."""
+
+    number: str
+    name: str
+    points_m: list[Point]
 
 
 class PlanDesk:
@@ -40,8 +50,9 @@ class PlanDesk:
         self.drawing = Drawing()
 
     def _clear(self) -> None:
-        """Without field, plan and consent; the draft of another one is removed."""
-        self.options = replace(self.options, consent=None)
+        """Without field, plan, guidance line and consent; the draft of another one is removed."""
+        self.options = replace(self.options.without_line(), consent=None)
+        self.lines: list[FileLine] = []
         if self.draft is not None:
             self.store.remove_draft(self.draft)
         self.draft = None
@@ -78,28 +89,74 @@ class PlanDesk:
         if key not in dict(self.features):
             raise Refused("no_feature", name=key[:60])
         self.feature, self.plan, self.stored, self.error = key, None, None, ""
+        self.options = self.options.without_line()
         await self._read()
 
     def draw(self, kind: Kind, side: str = "") -> None:
         """Begins what is drawn by clicks, or by driving along the edge of the field with one side of the implement."""
         self._check_free()
-        if kind in ("no_go", "gate"):
+        if kind in ("no_go", "gate", "ab", "a_plus"):
             if self.outline is None:
                 raise Refused("no_field")
         else:
             self._clear()
         self.drawing, self.error = Drawing(kind, side), ""
 
+    def draw_a_plus(self, heading: str) -> None:
+        """Begins a guidance line by its heading, clockwise from north; its point A follows."""
+        try:
+            heading_deg = float(heading)
+        except ValueError:
+            heading_deg = math.nan
+        if not 0.0 <= heading_deg <= 360.0:
+            raise Refused("heading", value=heading[:20])
+        self.draw("a_plus")
+        self.drawing.heading_deg = heading_deg
+
     def add_point(self, x_m: float, y_m: float) -> None:
-        """A corner in the shown `map`; the point of a gate ends its drawing."""
+        """A corner in the shown `map`; the point of a gate, and the last one of a guidance line, end their drawing."""
         if not (math.isfinite(x_m) and math.isfinite(y_m) and max(abs(x_m), abs(y_m)) <= MAX_AT_M):
             raise Refused("outside_map", x=f"{x_m:g}", y=f"{y_m:g}")
         if self.drawing.kind == "gate":
             self._check_free()
             self.drawing = Drawing()
             self._change(self.no_go_m, (round(x_m, 2), round(y_m, 2)))
+        elif self.drawing.kind in ("ab", "a_plus"):
+            self._check_free()
+            self.drawing.add(x_m, y_m)
+            self._take_line()
         elif self.drawing.kind != "driven":
             self.drawing.add(x_m, y_m)
+
+    def _take_line(self) -> None:
+        """Swaths along the drawn line, when it has all its points."""
+        drawing = self.drawing
+        a_m, heading_deg = drawing.points_m[0], drawing.heading_deg
+        if drawing.kind == "ab":
+            if len(drawing.points_m) < 2:
+                return
+            b_m = drawing.points_m[1]
+            if math.dist(a_m, b_m) < MIN_LINE_M:
+                drawing.points_m.pop()
+                raise Refused("short_line", distance=f"{math.dist(a_m, b_m):.1f}", least=MIN_LINE_M)
+            heading_deg = math.degrees(math.atan2(b_m[0] - a_m[0], b_m[1] - a_m[1]))
+        self.drawing = Drawing()
+        self._set_options(self.options.with_line(a_m, heading_deg))
+
+    def remove_line(self) -> None:
+        """Swaths without guidance line."""
+        self._check_free()
+        self._set_options(self.options.without_line())
+
+    @property
+    def guide(self) -> list[Point] | None:
+        """Two points in `map`, far outside of the field, on the guidance line of the swaths; None without one."""
+        options = self.options
+        if options.through_m is not None and options.heading_deg is not None:
+            (x_m, y_m), angle = options.through_m, math.radians(options.heading_deg)
+            dx_m, dy_m = GUIDE_M * math.sin(angle), GUIDE_M * math.cos(angle)
+            return [(x_m - dx_m, y_m - dy_m), (x_m + dx_m, y_m + dy_m)]
+        return next((line.points_m for line in self.lines if line.number == options.guidance), None)
 
     def follow(self, state: PageState) -> None:
         """Takes the edge along which the machine drives."""
@@ -139,6 +196,9 @@ class PlanDesk:
     def _change(self, no_go_m: tuple[Ring, ...], gate_m: Point | None) -> None:
         """Takes areas and gate; a plan without them is void."""
         self.no_go_m, self.gate_m, self.plan, self.stored = no_go_m, gate_m, None, None
+        self._redraw()
+
+    def _redraw(self) -> None:
         if self.outline is not None:
             self.outline = dict(self.outline)  # another one than was shown
 
@@ -149,14 +209,24 @@ class PlanDesk:
         if outline is None:
             return None
         gates = [[self.gate_m, self.gate_m]] if self.gate_m is not None else outline["gates"]
-        return outline | {"no_go": [*outline["no_go"], *self.no_go_m], "gates": gates}
+        return outline | {"no_go": [*outline["no_go"], *self.no_go_m], "gates": gates, "guide": self.guide}
 
     def set_option(self, name: str, value: str, by: str) -> None:
         """Changes an option, by a person; a plan with other ones is void."""
         self._check_free()
-        changed = self.options.changed(name, value, by)
+        self._set_options(self.options.changed(name, value, by))
+
+    def choose_line(self, number: str) -> None:
+        """Takes a guidance line of the file, none for an empty number."""
+        self._check_free()
+        if number and all(line.number != number for line in self.lines):
+            raise Refused("no_line", name=number[:60])
+        self._set_options(self.options.with_guidance(number) if number else self.options.without_line())
+
+    def _set_options(self, changed: PlanOptions) -> None:
         if changed != self.options:
             self.options, self.plan, self.stored = changed, None, None
+            self._redraw()
 
     async def make_plan(self) -> None:
         """Plans the field in a process of its own."""
@@ -218,12 +288,12 @@ class PlanDesk:
             self.draft = self.store.reopen(stored)
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
-        self.outline = {name: lines for name, lines in self.plan.map.items() if name != "sections"}
+        self.outline = {name: lines for name, lines in self.plan.map.items() if name not in ("sections", "guide")}
         self.no_go_m, self.gate_m = work.no_go_m, work.gate_m
         drawn = len(work.no_go_m)  # the last areas of the site; they are drawn from the mission
         self.outline["no_go"] = self.outline["no_go"][: len(self.outline["no_go"]) - drawn]
         self.stored = stored
-        self.features, self.notes = [], []
+        self.features, self.notes, self.lines = [], [], []
         assert stored.about is not None
         self.name, self.feature = stored.about.name, stored.about.feature
 
@@ -235,6 +305,7 @@ class PlanDesk:
             return
         self.features = [(str(key), plain_name(str(name))) for key, name in found["features"]]
         self.notes = [plain_name(str(note), MAX_NOTE) for note in found["notes"]]
+        self.lines = [FileLine(*line) for line in found.get("lines", ())]
         self.name = plain_name(str(found["name"]))
         self.outline = found.get("map")
 

@@ -10,7 +10,7 @@ from geometry.pose2 import Pose2, to_frame
 from hmi.page_state import PageState
 from messages.motion import MapPose, Odometry
 
-Kind = Literal["", "outline", "driven", "no_go", "gate"]
+Kind = Literal["", "outline", "driven", "no_go", "gate", "ab", "a_plus"]
 Point = tuple[float, float]
 Ring = tuple[Point, ...]
 MAX_POINTS = 500
@@ -21,11 +21,15 @@ MAX_LEVEL_M = 0.5  # protection level of a position that is recorded
 
 @dataclass
 class Drawing:
-    """Corners in `map` so far; `side` of the implement follows the edge: `left`, `right`, else its middle."""
+    """Corners in `map` so far; `side` of the implement follows the edge: `left`, `right`, else its middle.
+
+    `heading_deg` is that of an A+ line, clockwise from north.
+    """
 
     kind: Kind = ""
     side: str = ""
     points_m: list[Point] = field(default_factory=list)
+    heading_deg: float = 0.0
 
     def add(self, x_m: float, y_m: float) -> None:
         """Adds a corner, up to `MAX_POINTS`."""

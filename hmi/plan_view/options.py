@@ -24,6 +24,8 @@ AUTO = ""  # the planner finds the direction
 class PlanOptions:
     """What is chosen; `heading_deg` is clockwise from north, None: found by the planner.
 
+    The guidance line of the swaths has that heading through the point `through_m` in `map`, or `guidance` is the number
+    of a line of the field file.
     `consent` of the person who has chosen a height of plants, None: no work where plants hide whoever lies there.
     """
 
@@ -32,6 +34,8 @@ class PlanOptions:
     headland_passes: int
     turns: Turns
     heading_deg: float | None = None
+    through_m: tuple[float, float] | None = None
+    guidance: str | None = None
     consent: Consent | None = None
 
     def changed(self, name: str, value: str, by: str) -> "PlanOptions":
@@ -43,17 +47,31 @@ class PlanOptions:
         if name == "headland_passes":
             return replace(self, headland_passes=_whole(name, value, 1, MAX_PASSES))
         if name == "heading_deg":
-            return replace(self, heading_deg=None if value == AUTO else float(_whole(name, value, 0, 359)))
+            heading = None if value == AUTO else float(_whole(name, value, 0, 359))
+            return replace(self.without_line(), heading_deg=heading)
         if name not in choices() or value not in choices()[name]:
             raise ConfigError(f"{name} {value[:60]!r}: not one of {', '.join(choices().get(name, ()))}")
         return replace(self, **{name: value})  # type: ignore[arg-type]
+
+    def without_line(self) -> "PlanOptions":
+        """Options without guidance line."""
+        heading = None if self.through_m is not None else self.heading_deg
+        return replace(self, heading_deg=heading, through_m=None, guidance=None)
+
+    def with_line(self, through_m: tuple[float, float], heading_deg: float) -> "PlanOptions":
+        """Options with a guidance line through a point."""
+        return replace(self, heading_deg=round(heading_deg % 360.0, 3), through_m=through_m, guidance=None)
+
+    def with_guidance(self, number: str) -> "PlanOptions":
+        """Options with a line of the field file."""
+        return replace(self, heading_deg=None, through_m=None, guidance=number)
 
     def mission(self, name: str, work: Work) -> Mission:
         """Mission with these choices; speeds, overlap and margin are those of `work`."""
         direction = None if self.heading_deg is None else _to_yaw(self.heading_deg)
         changes = {
             "headland_passes": self.headland_passes, "turns": self.turns, "swath_direction_deg": direction,
-            "swath_through_m": None, "guidance": None,
+            "swath_through_m": self.through_m, "guidance": self.guidance,
         }  # fmt: skip
         return Mission(
             name=name, site="field", machine=self.machine, implement=self.implement,
@@ -64,8 +82,11 @@ class PlanOptions:
 def options_of(mission: Mission, work: Work) -> PlanOptions:
     """Options that give this mission."""
     yaw = work.swath_direction_deg
-    heading = None if yaw is None else round((90.0 - yaw) % 360.0, 1)
-    return PlanOptions(mission.machine, mission.implement, work.headland_passes, work.turns, heading, mission.consent)
+    heading = None if yaw is None else round((90.0 - yaw) % 360.0, 3)
+    return PlanOptions(
+        mission.machine, mission.implement, work.headland_passes, work.turns, heading, work.swath_through_m,
+        work.guidance, mission.consent,
+    )  # fmt: skip
 
 
 @cache

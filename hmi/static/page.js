@@ -20,22 +20,36 @@ window.headland = (() => {
     const body = byId("rows-" + name);
     if (!body) return;
     while (body.children.length > rows.length) body.lastChild.remove();
-    rows.forEach(([key, label, value, symbol, level], k) => {
+    rows.forEach(([key, label, value, sign, level, symbol], k) => {
       let row = body.children[k];
       if (!row) {
         row = document.createElement("div");
         row.append(...["dt", "dd"].map((tag) => document.createElement(tag)));
+        row.firstChild.append(document.createElement("span"));
         body.append(row);
       }
       row.dataset.key = key;
       row.className = "hl-row hl-" + level;
-      text(row.children[0], label);
-      text(row.children[1], symbol ? symbol + " " + value : value);
+      text(row.firstChild.lastChild, label);
+      showSymbol(row.firstChild, symbol || "");
+      text(row.children[1], sign ? sign + " " + value : value);
     });
   }
 
-  function showState([mode, level, cause, next]) {
+  function showSymbol(element, name) { // before the text of an element, from the sprite of the page
+    if ((element.dataset.symbol || "") === name) return;
+    element.dataset.symbol = name;
+    element.querySelector("svg")?.remove();
+    if (!name) return;
+    const [svg, use] = ["svg", "use"].map((tag) => document.createElementNS("http://www.w3.org/2000/svg", tag));
+    svg.setAttribute("class", "hl-symbol"); svg.setAttribute("aria-hidden", "true");
+    use.setAttribute("href", "#symbol-" + name);
+    svg.append(use); element.prepend(svg);
+  }
+
+  function showState([mode, level, cause, next, symbol]) {
     byId("state").className = "hl-mode hl-" + level;
+    showSymbol(byId("state"), symbol);
     text(byId("mode"), mode);
     text(byId("cause"), cause);
     text(byId("next"), next);
@@ -118,6 +132,7 @@ window.headland = (() => {
     still.plan.forEach((path) => stroke(context, path, toPx, "#7a8594", 1));
     (still.sections || []).forEach(([kind, path]) => stroke(context, path, toPx, SECTION_COLORS[kind] || "#333", kind === "turn" ? 1 : 2));
     map.paths.forEach((path) => stroke(context, path, toPx, "#1d4ed8", 2));
+    stroke(context, still.guide, toPx, "#6b1fa3", 3, false, [14, 6]);
     stroke(context, still.boundary, toPx, "#14532d", 3, true);
     stroke(context, still.yard, toPx, "#555", 2, true, [8, 6]);
     still.lanes.forEach((lane) => stroke(context, lane, toPx, "#555", 2, false, [2, 6]));
@@ -202,7 +217,10 @@ window.headland = (() => {
     if (updatedMs - answeredMs > ANSWER_MS) { answeredMs = updatedMs; window.headlandControls.send({action: "present"}); }
     if (shown.clear) { map.trail = []; map.edges = []; }
     if (shown.still) showStill(shown.still);
-    if (shown.draft !== undefined) map.draft = shown.draft;
+    if (shown.draft !== undefined) {
+      if (shown.draft && !map.draft) byId("map").scrollIntoView({block: "nearest"}); // it waits for clicks
+      map.draft = shown.draft;
+    }
     if (shown.trail) map.trail.push(...shown.trail);
     if (shown.edges) map.edges.push(...shown.edges);
     if (shown.map) map.moving = shown.map;

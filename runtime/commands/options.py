@@ -122,6 +122,8 @@ COMMANDS = (
                 help="simulate as `live` does, one process per part (default: not faster than real time)"),
         _option("--port", type=whole(0, 65535), metavar="N", help="port of the page (default in configs/page.yaml)"),
         _option("--stop-port", type=whole(0, 65535), metavar="N", help="port of the emergency stop"),
+        _option("--foxglove", type=whole(0, 65535), metavar="N",
+                help="port for Foxglove or Lichtblick on the loopback interface (default: none)"),
         _option("--setup-version", type=whole(1, 1_000_000), metavar="N",
                 help="version of the machine's setup with which the first drive begins (default: the newest)"),
         _option("--listen", type=address, metavar="ADDRESS",

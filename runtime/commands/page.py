@@ -2,6 +2,7 @@
 
 import argparse
 import getpass
+import ipaddress
 import sys
 from pathlib import Path
 
@@ -23,8 +24,10 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.key is not None and arguments.connect is None:
         raise HeadlandError("--key: only with --connect; the simulation accepts the key of the page")
     config = load(PageConfig, CONFIGS / "page.yaml")
-    ports = {"port": arguments.port, "stop_port": arguments.stop_port}
+    ports = {"port": arguments.port, "stop_port": arguments.stop_port, "foxglove_port": arguments.foxglove}
     config = config.model_copy(update={name: number for name, number in ports.items() if number is not None})
+    arguments.foxglove = config.foxglove_port
+    _check_foxglove(arguments)
     if arguments.replay is None and arguments.connect is None:
         check_drive(arguments)
     # only now: these imports take seconds, and a wrong argument is reported at once
@@ -35,6 +38,15 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.connect is not None:
         return serve_running(arguments.connect, arguments.key, config, state, arguments.listen)
     return serve_simulation(arguments, config, state)
+
+
+def _check_foxglove(arguments: argparse.Namespace) -> None:
+    """Raises HeadlandError for a Foxglove server of a page that others reach: it has no log-in."""
+    is_reached = arguments.listen is not None and not ipaddress.ip_address(arguments.listen).is_loopback
+    if arguments.foxglove is not None and is_reached:
+        raise HeadlandError(
+            f"--foxglove {arguments.foxglove}: has no log-in and cannot be used with --listen {arguments.listen}"
+        )
 
 
 def _add_user(users: Path, name: str, role: str) -> int:

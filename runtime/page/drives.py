@@ -23,6 +23,7 @@ from messages.errors import HeadlandError
 from runtime.machine_setup import configured_setup
 from runtime.page.live_feed import LiveFeed
 from runtime.page.simulation import REFUSED, Announcement, Ended, drive_simulation
+from runtime.page.views import machine_views
 from runtime.processes import begin_worker
 
 TRIAL = "calibration"  # mission of the calibration wizards
@@ -110,7 +111,8 @@ class SimulatedDrives(Drives):
         name = f"{found.run}/{next(iter(found.rings.values())).parent.name}"
         machine, number = found.setup_version
         setup = self._store.setup(machine, number)
-        return Drive(LiveFeed(found.rings), scene, name, found.stored, setup, number)
+        views = None if self._arguments.foxglove is None else machine_views(scene)
+        return Drive(LiveFeed(found.rings, views=views), scene, name, found.stored, setup, number)
 
     def end(self) -> None:
         """Ends drive and process with the log closed."""

@@ -6,6 +6,7 @@
 """
 
 import json
+import math
 import os
 import pathlib
 import resource
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from configs.mission import Mission
 from geometry.arrays import Float64
 from hmi.drive_view.map_view import static_map
 from hmi.plan_view.mission_store import MISSION, PLAN, SEED, field_of
@@ -26,6 +28,7 @@ from planning.field.feature_choice import choose
 from planning.field.field import FieldOutline, outline_of
 from planning.field.formats.contents import FieldFile
 from planning.field.formats.known_formats import read_file
+from planning.guidance.recorded import straight_in_map
 from planning.plan import Plan
 from runtime.processes import PARENT, end_with_parent
 
@@ -34,6 +37,7 @@ NICE = 10  # a machine that drives on this computer goes first
 MAX_FEATURES = 200
 PATH_M = 0.05  # deviation of a shown line from the path
 MIN_MPS = 0.05
+LINE_M = 2000.0  # drawn to both sides of the point of a guidance line
 
 
 def main(task: str, folder: pathlib.Path, feature: str | None) -> int:
@@ -60,7 +64,30 @@ def read(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
     if feature is None and len(found["features"]) > 1:
         return found
     outline = outline_of(contents, path, feature)
-    return found | {"name": outline.name, "notes": list(outline.notes), "map": outline_map(outline)}
+    lines, unused = straight_lines(outline)
+    return found | {
+        "name": outline.name, "notes": [*outline.notes, *unused], "map": outline_map(outline), "lines": lines,
+    }  # fmt: skip
+
+
+def straight_lines(outline: FieldOutline) -> tuple[list[list[Any]], list[str]]:
+    """Number, name, and two points far outside of the field, of each AB and A+ line; and why others are not used."""
+    lines: list[list[Any]] = []
+    unused = []
+    for k, recorded in enumerate(outline.lines[:MAX_FEATURES]):
+        try:
+            line = straight_in_map(recorded, outline.datum.datum)
+        except FieldError as error:
+            unused.append(str(error))
+            continue
+        lines.append([f"{k + 1}", f"{k + 1} {recorded.name}".strip(), through(line.a_m, line.heading_rad)])
+    return lines, unused
+
+
+def through(point_m: tuple[float, float], yaw_rad: float) -> list[list[float]]:
+    """Two points far outside of the field on the line through a point, in `map`."""
+    along_m = LINE_M * np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+    return _listed(np.array([point_m - along_m, point_m + along_m]))
 
 
 def features_of(contents: FieldFile) -> list[list[str]]:
@@ -114,10 +141,19 @@ def plan(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
         headland_passes=len(found.headland_passes),
         has_gate=bool(setup.site.gates),
         uncovered=tuple((reason, round(area_m2, 1)) for reason, area_m2 in found.uncovered_m2.items()),
-        map=static_map(Scene(setup.site, setup.vehicle, setup.implement)) | {"sections": sections_of(found)},
+        map=static_map(Scene(setup.site, setup.vehicle, setup.implement))
+        | {"sections": sections_of(found), "guide": guide_of(setup.mission)},
     )
     write_result(result, folder / PLAN)
     return {}
+
+
+def guide_of(mission: Mission) -> list[list[float]] | None:
+    """The guidance line of the swaths, None without one."""
+    work = mission.work
+    if work is None or work.swath_through_m is None or work.swath_direction_deg is None:
+        return None
+    return through(work.swath_through_m, math.radians(work.swath_direction_deg))
 
 
 def driving_s(path: Path) -> float:

@@ -7,11 +7,12 @@ from time import monotonic
 
 from datasets.reader import Entry, LogScan, decode, is_ours
 from geometry.arrays import Float64
-from hmi.feed import Feed, Playback, is_event, is_shown
+from hmi.feed import Feed, Playback, ViewMessage, is_event, is_shown
 from messages.command import Mode, SupervisorState
 from messages.errors import LogError
 from messages.message import Envelope
 from messages.plan import Path
+from runtime.page.views import LogViews
 
 THIN_NS = 200_000_000  # between two messages of a topic that are kept
 HISTORY = ("odom", "map_pose", "machine", "supervisor")  # track, worked area and times need all of these
@@ -28,8 +29,9 @@ class _Shown:
 class LogFeed(Feed):
     """Plays a log from its start; raises LogError for one without messages of the supervisor."""
 
-    def __init__(self, path: pathlib.Path) -> None:
+    def __init__(self, path: pathlib.Path, has_views: bool = False) -> None:
         super().__init__()
+        self._views = LogViews(path) if has_views else None
         self._entries = list(kept_entries(path))
         self._times_ns = [entry.receive_ns for entry in self._entries]
         states = [entry for entry in self._entries if entry.topic == "supervisor"]
@@ -53,6 +55,8 @@ class LogFeed(Feed):
         self._polled_s = now_s
         if self._playback.is_moved:
             self._playback.is_moved, self._is_restarted, self._next = False, True, 0
+            if self._views is not None:
+                self._views.rewind()
         self.now_ns = self._start_ns + round(self._playback.position_s * 1e9)
         first, self._next = self._next, bisect_right(self._times_ns, self.now_ns)
         entries = self._entries[first : self._next]
@@ -66,6 +70,10 @@ class LogFeed(Feed):
         """Whether the position was changed since the last call."""
         is_restarted, self._is_restarted = self._is_restarted, False
         return is_restarted
+
+    def views(self, read: frozenset[str] | None) -> Iterable[ViewMessage]:
+        """Viewer messages of the log up to the present position."""
+        return () if self._views is None else self._views.messages(self.now_ns)
 
     def planned_map_m(self) -> tuple[Float64, ...]:
         """Points (N, 2) of all paths of the log in `map`."""

@@ -87,7 +87,7 @@ def _drive(
     else:
         from runtime.page.single_process import drive_in_one_process
 
-        drive_in_one_process(setup, scenario, folder, interruption, operated)
+        drive_in_one_process(setup, scenario, folder, interruption, operated, arguments.foxglove is not None)
 
 
 def stored_of(arguments: argparse.Namespace) -> tuple[Path | None, Progress | None]:

@@ -20,6 +20,7 @@ from runtime.live.ring import RingWriter
 from runtime.live.ring_folder import rings_in_memory
 from runtime.live.serialization import header, pack
 from runtime.node_process import node_process
+from runtime.page.views import SCHEMAS
 from runtime.run_folder import RunFolder, resolved, versions
 from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
@@ -30,8 +31,9 @@ LAG_S = 0.5  # a simulation that has fallen behind does not catch up more than t
 
 
 def drive_in_one_process(
-    setup: Setup, scenario: Scenario, folder: RunFolder, interruption: Interruption, operated: Operated
-) -> None:
+    setup: Setup, scenario: Scenario, folder: RunFolder, interruption: Interruption, operated: Operated,
+    has_views: bool,
+) -> None:  # fmt: skip
     """Drives until it is interrupted, into the log of the folder; raises LogError."""
     text = resolved(mission=setup.mission, site=setup.site, machine=setup.vehicle, implement=setup.implement,
                     stack=setup.stack, scenario=scenario)  # fmt: skip
@@ -49,20 +51,24 @@ def drive_in_one_process(
             folder.file("console.log").open("w") as console,
             LogWriter(log_path, metadata, setup.stack.datasets.log, setup.viewer(), rotates=True) as log,
         ):
-            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), ring_sink(ring))
+            sinks = (log.write, Progress((sys.stderr, console), start_notes(setup)), ring_sink(ring, has_views))
             executor = Executor(world, nodes, sinks, process=process)
             executor.run(_paced(executor, lambda: interruption.is_requested))
     folder.finish()
 
 
-def ring_sink(ring: RingWriter) -> Callable[[Envelope], None]:
-    """Messages that the page shows or records, of the others the topic alone, which it counts; scans thinned."""
+def ring_sink(ring: RingWriter, has_views: bool = False) -> Callable[[Envelope], None]:
+    """Messages that the page shows or records, of the others the topic alone, which it counts; scans thinned.
+
+    With `has_views` also what the viewer topics need.
+    """
+    thinned = SCHEMAS.keys() if has_views else {"lidar"}
     scanned_ns: dict[str, int] = {}
 
     def write(envelope: Envelope) -> None:
         topic, now_ns = envelope.topic, envelope.receive_ns
         is_whole = is_shown(topic) or is_recorded(topic)
-        if topic.startswith("lidar/"):
+        if topic.partition("/")[0] in thinned:
             is_whole = now_ns - scanned_ns.get(topic, -SCAN_NS) >= SCAN_NS
             scanned_ns[topic] = now_ns if is_whole else scanned_ns.get(topic, now_ns)
         ring.write(pack((envelope.topic, envelope.message)) if is_whole else header(envelope.topic))

@@ -8,7 +8,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from http.server import ThreadingHTTPServer
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from hmi import emergency_stop
 from hmi.access import Access, one_time_user, read_users
 from hmi.calibration_view.desk import CalibrationDesk
 from hmi.config import PageConfig
+from hmi.foxglove import FoxgloveServer
 from hmi.orders import OrderSender, own_key, public_key_of, read_key
 from hmi.parts import Drive, Drives, PageParts
 from hmi.plan_view.desk import PlanDesk
@@ -34,8 +35,9 @@ from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError
 from runtime.machine_setup import running_setup
 from runtime.page.log_feed import LogFeed
-from runtime.page.place import Place, place_of, qr_text
+from runtime.page.place import LOOPBACK, Place, place_of, qr_text
 from runtime.page.running import logged, running_drive
+from runtime.page.views import machine_views
 from runtime.processes import begin_worker
 from runtime.run_folder import RUNS
 from safety.output.alarms import text_zh
@@ -50,12 +52,20 @@ NICE = 10  # of web server and planner: a log-in alone takes both cores for 0.2 
 UNANSWERED = 3  # checks of the emergency stop, then the machine is gone
 
 
+@dataclass(frozen=True)
+class Sockets:
+    """Bound sockets of page and Foxglove server."""
+
+    page: socket.socket
+    foxglove: socket.socket | None
+
+
 def serve_simulation(arguments: argparse.Namespace, config: PageConfig, state: Path) -> int:
     """Page with a simulation of its own, which waits for the orders of the page."""
     from runtime.page.drives import SimulatedDrives
 
     place = place_of(arguments.listen, state)
-    listening, stop_server = _listen(place, config.port), _stop_server(place, config.stop_port)
+    listening, stop_server = _listen(place, config), _stop_server(place, config.stop_port)
     key, order_port = own_key(state / KEY), OrderPort(0)
     statistics, setups = StatisticsStore(state / STATISTICS), SetupStore(state / SETUP)
     number = order_port.number
@@ -86,17 +96,19 @@ def serve_running(
 
     found, place = running_drive(folder), place_of(listen, state)
     name = f"{folder.resolve().name}/{next(iter(found.rings.values())).parent.name}"
-    drive = Drive(LiveFeed(found.rings, logged(folder)), scene_of(found.config, str(folder / "config.yaml")), name)
+    scene = scene_of(found.config, str(folder / "config.yaml"))
+    views = None if config.foxglove_port is None else machine_views(scene)
+    drive = Drive(LiveFeed(found.rings, logged(folder), views), scene, name)
     if found.order_port is None:  # a drive of `run`: it takes no orders, and is not counted
         if key_file is not None:
             raise HeadlandError(f"--key {key_file}: a drive of `headland run` takes no orders")
-        return _serve(drive, config, state, None, None, "connected", place, _listen(place, config.port))
+        return _serve(drive, config, state, None, None, "connected", place, _listen(place, config))
     key = None if key_file is None else read_key(key_file)
     sender = None
     if key is not None and key_file is not None:
         authority = found.authority_of(public_key_of(key).hex(), key_file)
         sender = OrderSender(key, authority, found.order_port)
-    listening, stop_server = _listen(place, config.port), _stop_server(place, config.stop_port)
+    listening, stop_server = _listen(place, config), _stop_server(place, config.stop_port)
     with _stop_process(place, stop_server, found.order_port) as stop_url:
         return _serve(
             replace(drive, setup=running_setup(found.config)), config, state, sender, stop_url, "connected", place,
@@ -107,8 +119,8 @@ def serve_running(
 def serve_log(path: Path, config: PageConfig, state: Path, listen: str | None = None) -> int:
     """Page that plays a log."""
     place = place_of(listen, state)
-    listening = _listen(place, config.port)
-    feed = LogFeed(path)
+    listening = _listen(place, config)
+    feed = LogFeed(path, config.foxglove_port is not None)
     text = read_metadata(path).get("config", {}).get("yaml", "")
     scene = scene_of(text, str(path), feed.planned_map_m())
     return _serve(Drive(feed, scene, path.name), config, state, None, None, "replay", place, listening)
@@ -116,7 +128,7 @@ def serve_log(path: Path, config: PageConfig, state: Path, listen: str | None = 
 
 def _serve(
     drive: Drive, config: PageConfig, state: Path, sender: OrderSender | None, stop_url: str | None, source: str,
-    place: Place, listening: socket.socket, statistics: StatisticsStore | None = None, drives: Drives | None = None,
+    place: Place, listening: Sockets, statistics: StatisticsStore | None = None, drives: Drives | None = None,
     setups: SetupStore | None = None,
 ) -> int:  # fmt: skip
     """Serves until SIGINT or SIGTERM."""
@@ -124,10 +136,14 @@ def _serve(
     from hmi.app import make_app, serve
 
     users, texts = read_users(state / USERS), texts_of(RULES)
-    url = place.url(listening.getsockname()[1])
+    url = place.url(listening.page.getsockname()[1])
     sys.stdout.write(f"page: {url}\n")
     if stop_url is not None:
         sys.stdout.write(f"emergency stop: {stop_url}\n")
+    foxglove = None
+    if listening.foxglove is not None:
+        sys.stdout.write(f"foxglove: ws://{LOOPBACK}:{listening.foxglove.getsockname()[1]}\n")
+        foxglove = FoxgloveServer(listening.foxglove, config.foxglove_origins, drive.name)
     if not users:
         password = secrets.token_urlsafe(9)
         users = one_time_user(password)
@@ -153,23 +169,30 @@ def _serve(
     parts = PageParts(
         drive, config, access, sender, stop_url, source, lambda code: text_zh(texts, code), desk, RUNS.absolute(),
         statistics, drives, setup, calibration, report=report, uploader=uploader, url=url,
+        foxglove=foxglove,
     )  # fmt: skip
-    serve(make_app(parts, LOCAL | {place.host}), listening, place.certificate)
+    serve(make_app(parts, LOCAL | {place.host}), listening.page, place.certificate)
     if uploader is not None:
         uploader.end()
     return 0
 
 
-def _listen(place: Place, port: int) -> socket.socket:
-    """Socket of the page; raises HeadlandError for a port that is taken."""
+def _listen(place: Place, config: PageConfig) -> Sockets:
+    """Sockets of the ports; raises HeadlandError for one that is taken."""
+    port = config.foxglove_port
+    page = _socket("--port", place.host, config.port)
+    return Sockets(page, None if port is None else _socket("--foxglove", LOOPBACK, port))
+
+
+def _socket(option: str, host: str, port: int) -> socket.socket:
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((place.host, port))
+        listening.bind((host, port))
         listening.listen(64)
     except OSError as error:
         raise HeadlandError(
-            f"--port {port}: cannot be opened on {place.host} ({error.strerror}); 0 takes a free one"
+            f"{option} {port}: cannot be opened on {host} ({error.strerror}); 0 takes a free one"
         ) from error
     return listening
 

@@ -34,6 +34,7 @@ class PageProcess:
         self.url = _found(r"^page: (\S+)$", text)
         self.password = _found(r"password (\S+)", text, "")
         self.stop_url = _found(r"^emergency stop: (\S+)$", text, "")
+        self.foxglove_url = _found(r"^foxglove: (\S+)$", text, "")
 
 
 @contextmanager

@@ -35,7 +35,8 @@ OWN = "http://127.0.0.1:8680"
 SESSION = SessionConfig(idle_s=100.0, max_s=1000.0, attempts=3, attempts_s=60.0, seat_s=15.0)
 CONFIG = PageConfig(
     port=0, stop_port=0, period_s=0.2, order_valid_s=1.0, confirmation_valid_s=1.0, lost_operator_s=10.0, cell_m=0.25,
-    plan_limit_s=60.0, session=SESSION, notification=NotificationConfig(after_s=60.0, language="en"),
+    plan_limit_s=60.0, foxglove_port=None, foxglove_origins=(), session=SESSION,
+    notification=NotificationConfig(after_s=60.0, language="en"),
     upload=UploadConfig(every_s=60.0, pause_s=5.0, max_pause_s=300.0, timeout_s=20.0),
 )  # fmt: skip
 

@@ -33,6 +33,8 @@ def page(folder: Path, *arguments: str, given: str = "") -> tuple[int, str]:
         (("--mission", "nowhere"), "nowhere"),
         (("--key", str(ROOT / "LICENSE")), "--connect"),
         (("--replay", str(ROOT / "LICENSE")), "LICENSE"),
+        (("--foxglove", "65536"), "65536"),
+        (("--foxglove", "8765", "--listen", "192.168.1.5"), "--foxglove 8765: has no log-in"),
     ],
 )
 def test_wrong_argument_is_one_line(tmp_path: Path, arguments: tuple[str, ...], named: str) -> None:
@@ -55,9 +57,9 @@ def test_taken_port_is_named(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         number = str(taken.getsockname()[1])
-        for option in ("--port", "--stop-port"):
-            other = "--stop-port" if option == "--port" else "--port"
-            code, text = page(tmp_path, option, number, other, "0")
+        for option in ("--port", "--stop-port", "--foxglove"):
+            ports = {"--port": "0", "--stop-port": "0"} | {option: number}
+            code, text = page(tmp_path, *(word for pair in ports.items() for word in pair))
             assert code == 2
             assert f"{option} {number}: cannot be opened" in text
             assert len(text.strip().splitlines()) == 1

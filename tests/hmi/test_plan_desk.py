@@ -17,6 +17,7 @@ import shapely
 
 from configs.site import DatumConfig
 from hmi.page_state import PageState
+from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import MISSION, PLAN
 from hmi.plan_view.options import choices, default_work, options_of, read_mission
 from hmi.refusal import Refused
@@ -410,6 +411,92 @@ def test_options_come_back_from_their_mission_file(tmp_path: Path, heading: str)
         desk.set_option(name, choices()[name][-1], "anna")
     write_mission(desk.options.mission("name: [x", default_work()), tmp_path / "m.yaml")
     assert options_of(*read_mission(tmp_path / "m.yaml")) == desk.options
+
+
+def test_a_guidance_line_comes_back_from_its_mission_file(tmp_path: Path) -> None:
+    from hmi.plan_view.options import write_mission
+
+    options = desk_in(tmp_path).options
+    for chosen in (options.with_line((12.34, -5.6), 217.125), options.with_guidance("2")):
+        write_mission(chosen.mission("x", default_work()), tmp_path / "m.yaml")
+        assert options_of(*read_mission(tmp_path / "m.yaml")) == chosen
+
+
+def test_rows_lie_along_the_guidance_line_of_the_file_or_a_drawn_one(tmp_path: Path) -> None:
+    """Rows are parallel to the line, at whole widths from it; a curve of the file is named and not offered."""
+    field = json.loads(geojson())
+    names = {"A": [[11.0002, 48.0001], [11.0009, 48.0004]], "bend": [[11.0, 48.0], [11.0004, 48.0], [11.0004, 48.0004]]}
+    lines = [
+        {"type": "Feature", "properties": {"name": name}, "geometry": {"type": "LineString", "coordinates": points}}
+        for name, points in names.items()
+    ]
+    text = json.dumps({"type": "FeatureCollection", "features": [field, *lines]}).encode()
+    work = default_work()
+
+    def check(desk: PlanDesk, a_m: tuple[float, float], angle: float, width_m: float) -> None:
+        assert desk.error == ""
+        assert desk.plan is not None
+        (x0, y0), (x1, y1) = desk.plan.map["guide"]
+        assert math.sin(math.atan2(y1 - y0, x1 - x0) - angle) == pytest.approx(0.0, abs=1e-4)
+        rows = [points for kind, points in desk.plan.map["sections"] if kind == "swath"]
+        assert len(rows) > 5
+        for (ax, ay), *_, (bx, by) in rows:
+            assert math.sin(math.atan2(by - ay, bx - ax) - angle) == pytest.approx(0.0, abs=2e-3)
+            aside_m = (ay - a_m[1]) * math.cos(angle) - (ax - a_m[0]) * math.sin(angle)
+            assert aside_m / width_m == pytest.approx(round(aside_m / width_m), abs=0.02)
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER, 600.0)
+        desk.set_option("implement", "harrow_6m", "anna")
+        await desk.load({"lines.geojson": text})
+        assert [(line.number, line.name) for line in desk.lines] == [("1", "1 A")]
+        assert any("'bend' is a curve" in note for note in desk.notes)
+        with pytest.raises(Refused, match="no_line"):
+            desk.choose_line("2")
+        desk.choose_line("1")
+        assert desk.guide == desk.lines[0].points_m
+        await desk.make_plan()
+        (x0, y0), (x1, y1) = desk.lines[0].points_m
+        width_m = 6.0 - work.overlap_m
+        check(desk, ((x0 + x1) / 2.0, (y0 + y1) / 2.0), math.atan2(y1 - y0, x1 - x0), width_m)
+        desk.draw("ab")
+        desk.add_point(20.0, 10.0)
+        assert desk.options.guidance == "1"  # until B
+        desk.add_point(60.0, 90.0)
+        assert (desk.drawing.kind, desk.plan, desk.options.guidance) == ("", None, None)
+        assert desk.options.heading_deg == pytest.approx(math.degrees(math.atan2(40.0, 80.0)), abs=1e-3)
+        await desk.make_plan()
+        check(desk, (20.0, 10.0), math.atan2(80.0, 40.0), width_m)
+        await desk.load({"lines.geojson": text})  # a line lies in the map of its field
+        assert desk.guide is desk.options.heading_deg is desk.options.through_m is None
+
+    asyncio.run(drive())
+
+
+def test_a_plus_line_has_a_heading_and_a_point(tmp_path: Path) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        with pytest.raises(Refused, match="no_field"):
+            desk.draw("ab")
+        await desk.load({"a.kml": b"ok"})
+        for heading in ("", "x", "-1", "361", "nan", "1e9"):
+            with pytest.raises(Refused, match="heading"):
+                desk.draw_a_plus(heading)
+        desk.draw_a_plus("37.25")
+        desk.add_point(3.0, 4.0)
+        assert (desk.options.heading_deg, desk.options.through_m, desk.drawing.kind) == (37.25, (3.0, 4.0), "")
+        assert desk.guide is not None
+        desk.draw("ab")
+        desk.add_point(1.0, 1.0)
+        with pytest.raises(Refused, match="short_line"):
+            desk.add_point(1.5, 1.0)
+        assert desk.drawing.points_m == [(1.0, 1.0)]
+        desk.remove_line()
+        assert desk.guide is desk.options.heading_deg is None
+        assert desk.shown_outline is not None
+        assert desk.shown_outline["guide"] is None
+
+    asyncio.run(drive())
 
 
 def test_direction_is_a_compass_heading(tmp_path: Path) -> None:

@@ -172,6 +172,36 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
     anna.wait_for_selector("#remove_areas", state="hidden")
 
 
+def test_rows_follow_a_guidance_line_that_is_drawn(anna: Any) -> None:
+    """BD-4.2b: AB by two clicks, A+ by its heading and one."""
+    box = anna.locator("#map").bounding_box()
+
+    def click(x: float, y: float) -> None:
+        anna.locator("#map").click(position={"x": x * box["width"], "y": y * box["height"]})
+
+    anna.click("#ab:not([disabled])")
+    wait_for(anna, "#hint", "0 of 2")
+    click(0.3, 0.8)
+    wait_for(anna, "#hint", "1 of 2")
+    click(0.7, 0.8)  # to the east
+    heading = float(re.search(r"heading ([\d.]+)", wait_for(anna, "#line", "heading"))[1])  # type: ignore[index]
+    assert heading == pytest.approx(90.0, abs=0.5)
+    planned(anna)
+    assert {"1d4ed8", "6b1fa3"} <= set(anna.evaluate(COLORS))  # rows and line
+    anna.fill("#a_plus_deg", "north")
+    anna.click("#a_plus")
+    wait_for(anna, "#answer", "Heading north: a number")
+    anna.fill("#a_plus_deg", "37.25")
+    anna.click("#a_plus")
+    wait_for(anna, "#hint", "Click point A")
+    click(0.5, 0.8)
+    wait_for(anna, "#line", "heading 37.25")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")
+    anna.click("#remove_line")
+    wait_for(anna, "#line", "^$")
+    anna.wait_for_selector("#remove_line", state="hidden")
+
+
 def test_consent_for_plants_is_given_by_name_and_stored(anna: Any, folder: Path) -> None:
     """It is part of the mission that is stored, and is taken back."""
     (folder / "crop.geojson").write_bytes(geojson(name="field in crop"))
