@@ -128,6 +128,13 @@ class Machine:
                 time.sleep(0.01)
         self.until(lambda: self.mode is mode, 0.0)
 
+    def _brakes(self) -> list[CanFrame]:
+        """Frames of the newest message that demand the brakes since the command of an emergency stop."""
+        if self.stop_ns is None:
+            return []
+        after = (frame for frame in self.frames if frame.stamp_ns >= self.stop_ns)
+        return [frame for frame in after if requested_mps2(frame.identifier, frame.data) > 0.0]
+
     def press(self) -> float:
         """Presses the emergency stop; seconds until the first brake frame of the gateway that follows the command.
 
@@ -141,18 +148,13 @@ class Machine:
         self.stop_ns = None
         while time.monotonic() < began_s + WAIT_S:
             for _ in self.records():
-                if self.stop_ns is not None and (brakes := [f for f in self.frames if is_brake(f, self.stop_ns)]):
+                if brakes := self._brakes():
                     waited_s = 1e-9 * (self.frames_ns - brakes[0].stamp_ns)
                     seconds = time.monotonic() - began_s - waited_s
                     sent.wait()
                     return seconds
             time.sleep(0.001)
         raise SystemExit(f"no emergency stop within {WAIT_S:.0f} s")
-
-
-def is_brake(frame: CanFrame, since_ns: int) -> bool:
-    """Whether a frame demands the brakes at or after a time."""
-    return frame.stamp_ns >= since_ns and requested_mps2(frame.identifier, frame.data) > 0.0
 
 
 PRESS = """

@@ -154,7 +154,8 @@ def _bands(image: RangeImage, pixels: Int64) -> Int64:
 
 def _sectors(image: RangeImage, pixels: Int64) -> Int64:
     columns = image.ranges_mm.shape[1]
-    return pixels % columns * SECTORS // columns
+    found: Int64 = pixels % columns * SECTORS // columns
+    return found
 
 
 def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
