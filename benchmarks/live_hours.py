@@ -83,7 +83,7 @@ async def hours(machine: Machine, folder: Path, duration_s: float, pause_s: floa
             file.flush()
             if machine.mode is Mode.FINISHED:
                 break
-            if time.monotonic() - pause_from_s > pause_s:
+            if machine.mode is Mode.AUTOMATIC and time.monotonic() - pause_from_s > pause_s:
                 machine.reach(Mode.STANDBY, "pause")
                 machine.reach(Mode.AUTOMATIC, "confirm_clear", "resume")
                 pause_from_s, restarts = time.monotonic(), restarts + 1

@@ -27,10 +27,10 @@ site: demo
 machine: tractor_e
 implement: harrow_6m
 start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
-line: {speed_kmh: 5, legs: [{length_m: 52.0, is_working: true}]}
+line: {speed_kmh: 2, legs: [{length_m: 52.0, is_working: true}]}
 """
 LANGUAGES = {"en": "en-US", "zh": "zh-CN"}
-DRIVEN = r"^2\d\D"  # m, when the pictures of the drive are taken
+DRIVEN = r"^1\d\D"  # m, when the pictures of the drive are taken
 SETTLED_MS, PATIENCE_MS = 1500.0, 300_000.0
 
 
@@ -55,16 +55,12 @@ class Pictures:
                 page.context.add_cookies(cookies)
                 self._pages[f"{size}-{language}"] = page
 
-    def open(self, name: str, shown: str) -> None:
-        """Opens a view on all pages and waits for an element."""
+    def take(self, name: str, shown: str) -> None:
+        """Opens a view on one page after the other, waits for an element, and takes its picture."""
         for key, page in self._pages.items():
             page.goto(f"{self._url.rstrip('/')}{VIEWS[name]}?lang={key[-2:]}")
             page.wait_for_selector(shown)
-
-    def take(self, name: str) -> None:
-        """Takes the pictures of the view that is open, and closes it."""
-        self.operator.wait_for_timeout(SETTLED_MS)
-        for key, page in self._pages.items():
+            page.wait_for_timeout(SETTLED_MS)
             self._take(page, f"{name}-{key}")
             page.goto("about:blank")
 
@@ -110,14 +106,12 @@ def calibrate(pictures: Pictures) -> None:
     wait_for(page, "#recorded", r"Recording: [1-9]\d")
     page.click("#evaluate")
     wait_for(page, "#verdict", "Verified")
-    pictures.open("calibration", "#plot circle")
-    pictures.take("calibration")
+    pictures.take("calibration", "#plot circle")
     for _ in range(2):
         page.click("#accept:not([disabled])")
     view(page, "setup")
     wait_for(page, "#table-versions tbody tr:first-child", "^2")
-    pictures.open("setup", "#table-versions tbody td")
-    pictures.take("setup")
+    pictures.take("setup", "#table-versions tbody td")
 
 
 def plan(pictures: Pictures, field: Path) -> None:
@@ -138,25 +132,22 @@ def plan(pictures: Pictures, field: Path) -> None:
     page.wait_for_selector("#rows-plan [data-key=length]")
     page.click("#store:not([disabled])")
     page.wait_for_selector("#table-missions tbody td")
-    pictures.open("plan", "#table-missions tbody td")
-    pictures.take("plan")
+    pictures.take("plan", "#table-missions tbody td")
 
 
 def drive(pictures: Pictures) -> None:
     """Views `drive`, `diagnosis` and `statistics`: a row is driven until an emergency stop."""
     page = pictures.operator
     view(page, "drive")
-    pictures.open("drive", "#rows-machine [data-key=hitch]")
     for order in ("confirm_clear", "start"):
         page.click(f"[data-hl=order-{order}]:not([disabled])")
         wait_for(page, "[data-hl=answer]", "accepted")
     wait_for(page, "#rows-work [data-key=driven] dd", DRIVEN)
-    pictures.take("drive")
+    pictures.take("drive", "#rows-machine [data-key=hitch]")
     page.frame_locator("iframe.hl-stop").locator("#emergency-stop").click()
     wait_for(page, "#mode", "Emergency stop")
     for name, table in (("diagnosis", "alarm_log"), ("statistics", "statistics")):
-        pictures.open(name, f"#table-{table} tbody td")
-        pictures.take(name)
+        pictures.take(name, f"#table-{table} tbody td")
 
 
 if __name__ == "__main__":
