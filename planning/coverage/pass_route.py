@@ -7,7 +7,7 @@ from shapely.geometry import LineString
 
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
-from planning.coverage.headland import APART, HeadlandPass
+from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.search import Connection, Leg, bounds_s, straight
 
@@ -45,7 +45,7 @@ def drive_passes(connector: PathConnector, start: Pose2) -> PassDrive:
             continue
         connection, k = best
         pieces += [*turn_pieces(connection, ring.number), *_loop(ring, k)]
-        pose = _pose(ring, k + CLOSING)
+        pose = ring.pose(k + CLOSING)
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number = 0  # those that were not reached before may be now
@@ -62,7 +62,7 @@ def _is_inside(ring: HeadlandPass, outer: HeadlandPass, width_m: float) -> bool:
 def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> HeadlandPass:
     """A closed pass cut open without its fills, where a turn leads from one of the `ends` of lines to it."""
     rig, entries = connector.rig, _entries(ring, connector.rig.radius_m)
-    poses, first = [_pose(ring, k) for k in entries], entries[0]
+    poses, first = [ring.pose(k) for k in entries], entries[0]
     if ends:
         bound = bounds_s(ends, poses, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)
         ranked = np.argsort(bound, axis=None, kind="stable")[:MAX_ENTRIES]
@@ -71,7 +71,7 @@ def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> H
         first = entries[next(found, near[0][1])]
     index = (first + np.arange(len(ring.points_m) + CLOSING)) % (len(ring.points_m) - 1)
     heading = np.unwrap(ring.heading_rad[index])
-    return replace(ring, points_m=ring.points_m[index], heading_rad=heading, is_closed=False, fills=())
+    return replace(ring, points_m=ring.points_m[index], heading_rad=heading, is_closed=False, fills=(), turns=())
 
 
 def _best(
@@ -79,7 +79,7 @@ def _best(
     following: tuple[HeadlandPass, list[int]] | None,
 ) -> tuple[Connection, int] | None:  # fmt: skip
     """Connection to the entry of least time together with the connection from there to the next pass."""
-    poses = [_pose(ring, k) for k in entries]
+    poses = [ring.pose(k) for k in entries]
     order = _by_time(connector, start, poses)
     found: list[tuple[float, int, Connection]] = []
     for n in order:
@@ -88,8 +88,8 @@ def _best(
             continue
         onwards_s = 0.0
         if following is not None:
-            goals = [_pose(following[0], k) for k in following[1]]
-            leave = _pose(ring, entries[n] + CLOSING)
+            goals = [following[0].pose(k) for k in following[1]]
+            leave = ring.pose(entries[n] + CLOSING)
             links = (
                 connector.turn(connector.request(leave, goals[k]))
                 for k in _by_time(connector, leave, goals)[:MAX_LINKS]
@@ -143,13 +143,12 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
         level = np.abs(curvature[before]) < STRAIGHT_RADPM
         if level.any():
             flat.append(int(before[int(np.argmax(level))]))
-    flat = [k for k in flat if all(APART < (f.index - k) % n < n - APART for f in ring.fills)] or flat
+    fills = [*ring.fills, *(f for t in ring.turns for f in (t.before, t.behind))]
+    driven = [
+        k for k in flat if all((t.behind.index - k) % n > (t.behind.index - t.before.index) % n for t in ring.turns)
+    ]
+    flat = [k for k in driven if all(APART < (f.index - k) % n < n - APART for f in fills)] or driven or flat
     return flat or [int(k) for k in candidates[np.argsort(around[candidates], kind="stable")[:3]]]
-
-
-def _pose(ring: HeadlandPass, k: int) -> Pose2:
-    k %= len(ring.points_m) - 1
-    return Pose2(*map(float, (*ring.points_m[k], ring.heading_rad[k])))
 
 
 def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
@@ -162,13 +161,31 @@ def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
         return RoutePiece(PathSectionType.HEADLAND, ring.number, leg, True)
 
     pieces, done = [], 0
-    for offset, by_m in sorted(((f.index - first) % n, f.by_m) for f in ring.fills):
-        corner = Pose2(*map(float, (*ring.points_m[index[offset]], heading[offset])))
+    stops = [((f.index - first) % n, f.by_m, f) for f in ring.fills]
+    stops += [((t.before.index - first) % n, t.before.by_m, t) for t in ring.turns]
+    for offset, _, stop in sorted(stops, key=lambda s: s[:2]):
         if offset > done:
             pieces.append(piece(done, offset))
-        for leg in (straight(corner, corner.ahead(by_m)), straight(corner.ahead(by_m), corner)):
-            is_working = leg.direction > 0
-            section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN
-            pieces.append(RoutePiece(section, ring.number, leg, is_working))
-        done = offset
+        pieces += _fill_pieces(ring, stop) if isinstance(stop, CornerFill) else _turn_pieces(ring, stop)
+        done = offset if isinstance(stop, CornerFill) else (stop.behind.index - first) % n
     return [*pieces, piece(done, n + CLOSING)]
+
+
+def _fill_pieces(ring: HeadlandPass, fill: CornerFill) -> list[RoutePiece]:
+    corner = ring.pose(fill.index)
+    away = corner.ahead(fill.by_m)
+    return [_straight_piece(ring, corner, away), _straight_piece(ring, away, corner)]
+
+
+def _turn_pieces(ring: HeadlandPass, turn: CornerTurn) -> list[RoutePiece]:
+    (first, near), (last, far) = ((p := ring.pose(f.index), p.ahead(f.by_m)) for f in (turn.before, turn.behind))
+    into, out = _straight_piece(ring, first, near), _straight_piece(ring, far, last)
+    return [into, *turn_pieces(turn.way, ring.number), out]
+
+
+def _straight_piece(ring: HeadlandPass, start: Pose2, goal: Pose2) -> RoutePiece:
+    """Straight on with work, or back without."""
+    leg = straight(start, goal)
+    is_working = leg.direction > 0
+    section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN
+    return RoutePiece(section, ring.number, leg, is_working)
