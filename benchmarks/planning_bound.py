@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import shapely
 from shapely.affinity import rotate, translate
-from shapely.geometry import Polygon
+from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from configs.vehicle import MountedImplement, Vehicle
@@ -49,7 +49,7 @@ def _unworkable(inner: BaseGeometry, room: BaseGeometry, bodies: list[Box], line
     left, edges = inner, np.concatenate([_edges(part) for part in shapely.get_parts(inner)])
     lines = shapely.linestrings(edges)
     for heading in _headings(edges):
-        left = shapely.multipolygons([p for p in shapely.get_parts(left) if p.area > CRUMB_M2])
+        left = MultiPolygon([p for p in shapely.get_parts(left) if p.area > CRUMB_M2])
         if left.area < ENOUGH * inner.area:
             return 0.0
         shapely.prepare(left)
@@ -89,7 +89,7 @@ def _edges(polygon: Polygon) -> np.ndarray:
 
 
 def _areas(shape: BaseGeometry) -> BaseGeometry:
-    return shapely.multipolygons([p for p in shapely.get_parts(shape) if isinstance(p, Polygon) and not p.is_empty])
+    return MultiPolygon([p for p in shapely.get_parts(shape) if isinstance(p, Polygon) and not p.is_empty])
 
 
 def _headings(edges: np.ndarray) -> Iterator[float]:

@@ -26,7 +26,7 @@ from planning.coverage.pass_shape import STEP_M, displaced, is_undrivable
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
-from planning.turns.search import Connection, ConnectionRequest, find_turn
+from planning.turns.search import AT_ONCE_M, Connection, ConnectionRequest, find_turn
 
 MIN_RING_M2 = 1.0
 MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
@@ -43,8 +43,8 @@ FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
 BEYOND_M = 3.0  # an arc begins and ends gently
 APART = 10  # points
-FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
-BARE_S_PER_M2 = 10.0  # time that a bare square metre in a corner counts as
+FILL_STEP_M, FILL_ENOUGH, TURN_ENOUGH = 0.4, 0.97, 0.995  # a fill, or one with a turn, ends at this share of its work
+BARE_S_PER_M2 = 30.0  # time that a bare square metre in a corner counts as
 BESIDE = 150  # points of a pass before and after an arc that may work the same ground
 
 
@@ -140,7 +140,7 @@ def _all_filled(
     areas = [pass_coverage(p, rig) for p in passes]
     bare = drivable.free.difference(shapely.union_all([*areas, inside]))
     found = list(passes)
-    for n, ring in enumerate(passes):
+    for n, ring in reversed(list(enumerate(passes))):  # the strips beside an arc that is left out are filled before it
         for before, behind in _fills(ring, space, rig) if ring.is_closed else ():
             kept, left = list[CornerFill](), bare
             for longest in (behind, before):
@@ -178,17 +178,13 @@ def _with_turn(
     sides = [before.index + np.arange(-BESIDE, 1), behind.index + np.arange(BESIDE + 1)]
     around = [a for a in others if a.intersects(arc)] + [_strip(ring, side, rig) for side in sides]
     left = bare.union(arc.difference(shapely.union_all(around)).intersection(space.allowed))
-    behind, _ = _as_long_as_needed(behind, ring, left, rig)
+    behind, _ = _as_long_as_needed(behind, ring, left, rig, TURN_ENOUGH)
     left = left.difference(_fill_area(ring, behind, rig))
-    before, _ = _as_long_as_needed(before, ring, left, rig)
+    before, _ = _as_long_as_needed(before, ring, left, rig, TURN_ENOUGH)
     left = left.difference(_fill_area(ring, before, rig))
     first, last = (ring.pose(f.index).ahead(f.by_m) for f in (before, behind))
-    for run_out_m in (0.0, rig.config.run_out_m):
-        request = ConnectionRequest(first, last, run_out_m, rig.config.line_up_m)
-        way = find_turn(request, space, rig.turn_times)
-        if way is not None and (run_out_m > 0.0 or way.legs[0].direction < 0):
-            return replace(ring, turns=(*ring.turns, CornerTurn(before, behind, way))), left
-    return None
+    way = find_turn(ConnectionRequest(first, last, AT_ONCE_M, rig.config.line_up_m), space, rig.turn_times)
+    return None if way is None else (replace(ring, turns=(*ring.turns, CornerTurn(before, behind, way))), left)
 
 
 def _is_alone(first: int, length: int, ring: HeadlandPass) -> bool:
@@ -227,13 +223,15 @@ def _is_apart(fill: CornerFill, others: Sequence[CornerFill], ring: HeadlandPass
     return not is_within and not any(0 < (b - a) % count <= APART for a in before for b in behind)
 
 
-def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
+def _as_long_as_needed(
+    fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig, enough: float = FILL_ENOUGH
+) -> tuple[CornerFill, float]:
     """A fill without its end where it works next to nothing of the bare area, and what it works of it, m²."""
     count = max(1, round(abs(fill.by_m) / FILL_STEP_M))
     lengths = np.linspace(0.0, fill.by_m, count + 1)[1:]
     strip = _fill_area(ring, fill, rig).intersection(bare)
     gains = np.array([strip.intersection(_fill_area(ring, replace(fill, by_m=m), rig)).area for m in lengths])
-    k = int(np.argmax(gains >= FILL_ENOUGH * gains[-1]))
+    k = int(np.argmax(gains >= enough * gains[-1]))
     return replace(fill, by_m=float(lengths[k])), float(gains[k])
 
 
