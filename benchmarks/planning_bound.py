@@ -41,7 +41,7 @@ def workable_share(field: Polygon, margin_m: float, vehicle: Vehicle, implement:
         1.0 - _unworkable(inner, room.buffer(abs(centre_m) + 0.01), bodies, line, reach_m + slack_m) / inner.area
         for room in sorted(rooms, key=lambda part: -part.area)
     ]
-    return max(shares, default=0.0) * inner.area / field.area
+    return float(max(shares, default=0.0) * inner.area / field.area)
 
 
 def _unworkable(inner: BaseGeometry, room: BaseGeometry, bodies: list[Box], line: Box, reach_m: float) -> float:

@@ -175,7 +175,8 @@ def _with_turn(
     if not _is_alone(before.index, length, ring):
         return None
     arc = _strip(ring, before.index + np.arange(length + 1), rig)
-    sides = [before.index + np.arange(-BESIDE, 1), behind.index + np.arange(BESIDE + 1)]
+    beside = min(BESIDE, (n - length) // 2)
+    sides = [before.index + np.arange(-beside, 1), behind.index + np.arange(beside + 1)]
     around = [a for a in others if a.intersects(arc)] + [_strip(ring, side, rig) for side in sides]
     left = bare.union(arc.difference(shapely.union_all(around)).intersection(space.allowed))
     behind, _ = _as_long_as_needed(behind, ring, left, rig, TURN_ENOUGH)

@@ -187,6 +187,7 @@ def _loop(ring: HeadlandPass, entry: _Entry) -> list[RoutePiece]:
         leg = Leg(1, ring.points_m[index[a : b + 1]], heading[a : b + 1], curvature[a : b + 1])
         return RoutePiece(PathSectionType.HEADLAND, ring.number, leg, True)
 
+    stops: list[tuple[int, float, CornerFill | CornerTurn]]
     stops = [((f.index - first) % n, f.by_m, f) for f in ring.fills]
     stops += [((t.before.index - first) % n, t.before.by_m, t) for t in ring.turns if t is not entry.turn]
     pieces, done = [], 0
