@@ -171,9 +171,13 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
     apart = [k for k in driven(flat) if all(APART < (f.index - k) % n < n - APART for f in ring.fills)]
     straightest = (int(k) for k in candidates[np.argsort(around[candidates], kind="stable")])
     points = apart or driven(flat) or driven(straightest)[:3]
-    ends = [[ring.pose(f.index).ahead(f.by_m) for f in (t.behind, t.before)] for t in ring.turns]
-    corners = [_Entry(t.behind.index, *poses, t) for t, poses in zip(ring.turns, ends, strict=True)]
+    corners = [_Entry(t.behind.index, _end(ring, t.behind), _end(ring, t.before), t) for t in ring.turns]
     return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
+
+
+def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:
+    """Pose at the end of a fill, away from the pass."""
+    return ring.pose(fill.index).ahead(fill.by_m)
 
 
 def _loop(ring: HeadlandPass, entry: _Entry) -> list[RoutePiece]:
@@ -204,14 +208,13 @@ def _loop(ring: HeadlandPass, entry: _Entry) -> list[RoutePiece]:
 
 
 def _fill_pieces(ring: HeadlandPass, fill: CornerFill) -> list[RoutePiece]:
-    corner = ring.pose(fill.index)
-    away = corner.ahead(fill.by_m)
+    corner, away = ring.pose(fill.index), _end(ring, fill)
     return [_straight_piece(ring, corner, away), _straight_piece(ring, away, corner)]
 
 
 def _turn_pieces(ring: HeadlandPass, turn: CornerTurn) -> list[RoutePiece]:
-    (first, near), (last, far) = ((p := ring.pose(f.index), p.ahead(f.by_m)) for f in (turn.before, turn.behind))
-    into, out = _straight_piece(ring, first, near), _straight_piece(ring, far, last)
+    into = _straight_piece(ring, ring.pose(turn.before.index), _end(ring, turn.before))
+    out = _straight_piece(ring, _end(ring, turn.behind), ring.pose(turn.behind.index))
     return [into, *turn_pieces(turn.way, ring.number), out]
 
 
