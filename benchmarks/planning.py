@@ -1,13 +1,13 @@
 """Coverage plans of textbook fields, random polygons and parcels of national registers: share, coverage, time.
 
     ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12] [--turns reverse forward]
-                                  [--sample N] [--seed SEED] [--limit SECONDS] [--pictures] [--out FOLDER]
+                                  [--sample N] [--seed SEED] [--limit SECONDS] [--bound] [--pictures] [--out FOLDER]
 
 Each plan runs in a process of its own, forked after imports and kernels; its processor time is that of the process and
 its children. Results are appended to FOLDER/results.jsonl; a second call continues, and prints the tables.
 Parcels are read from HEADLAND_DATA, else from ../shared/data. A parcel counts where its largest inscribed circle is at
 least 4 working widths wide; above 20 ha with the widest implement alone. `--sample` draws N parcels of the registers,
-each with one of its widths.
+each with one of its widths. `--bound` adds the share of each field that is workable by any plan (`planning_bound.py`).
 """
 
 import argparse
@@ -25,6 +25,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.planning_bound import workable_share
 from benchmarks.planning_check import check
 from benchmarks.planning_fields import LARGE_M2, MIN_WIDTHS, Parcel, random_fields, registers, textbook
 from benchmarks.recordings import DATA
@@ -108,6 +109,13 @@ def busy_s() -> float:
     return now.user + now.system + now.children_user + now.children_system
 
 
+def bound_of(case: Case) -> float:
+    """Greatest share of the field that any plan works."""
+    vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m)
+    margin_m = work_of(case.width_m, case.turns).boundary_margin_m
+    return workable_share(case.parcel.polygon, margin_m, vehicle, implement)
+
+
 def run_apart(case: Case, picture: Path | None, limit_s: float) -> dict[str, Any]:
     """`run` in a forked process, killed with its children after `limit_s` of processor time."""
     reader, writer = os.pipe()
@@ -180,6 +188,14 @@ def table(results: list[dict[str, Any]]) -> str:
             line += f"  {total / ideal:8.3f}  {1 - work / total:.1%}  {sum(r['reverse_m'] for r in done) / total:.1%}"
             line += f"  {max(r['rss_mib'] for r in done):5.0f}"
         lines.append(line)
+        bounded = [r for r in found if "workable" in r]
+        if bounded:
+            able = [r for r in bounded if r["workable"] >= LEAST_PLANNED_SHARE]
+            share = [r.get("coverage", 0.0) / max(r["workable"], 1e-9) for r in bounded]
+            line = f"  workable: p5 {np.quantile([r['workable'] for r in bounded], 0.05):.2%}, {len(able)} of "
+            line += f"{len(bounded)} fields to {LEAST_PLANNED_SHARE:.0%}, of which planned "
+            line += f"{sum(r['state'] == 'planned' for r in able)}; worked of it median/p5 "
+            lines.append(line + f"{np.median(share):.2%}/{np.quantile(share, 0.05):.2%}")
     for r in results:
         if r["key"].startswith("textbook"):
             detail = r.get("reason", "")
@@ -200,6 +216,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=float, default=60.0)
+    parser.add_argument("--bound", action="store_true")
     parser.add_argument("--pictures", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmark-planning"))
     arguments = parser.parse_args()
@@ -214,6 +231,8 @@ def main() -> int:
             continue
         picture = arguments.out / f"{case.key.replace('/', '-')}.png" if arguments.pictures else None
         known[case.key] = found = run_apart(case, picture, arguments.limit)
+        if arguments.bound:
+            found["workable"] = bound_of(case)
         with file.open("a") as stream:
             stream.write(json.dumps(found) + "\n")
     sys.stdout.write(table([known[c.key] for c in wanted]) + "\n")

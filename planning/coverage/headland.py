@@ -4,6 +4,7 @@ A pass starts as the field outline moved inwards, with all corners rounded to th
 more than the bodies need (`pass_shape.py`). Where that fails the pass is cut: what remains are open passes. Parts of
 the field too narrow for a closed pass have open ones along their edges, driven in either direction. With
 reversing a rounded corner is filled: the rig reverses straight into it from behind its arc, and works out of it again.
+Where that is better it drives straight into the corner, turns there, and works out of it, without the arc.
 """
 
 import math
@@ -19,11 +20,13 @@ from geometry.arrays import Bool, Float64, Int64, runs_of
 from geometry.footprint import worked
 from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink
 from geometry.polyline import arc_length, curvatures, headings, resample, smooth
+from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
 from planning.coverage.pass_shape import STEP_M, displaced, is_undrivable
 from planning.field.drivable_area import DrivableArea
 from planning.rig import Rig, corner_reach_m
 from planning.turns.free_space import FreeSpace
+from planning.turns.search import AT_ONCE_M, Connection, ConnectionRequest, find_turn
 
 MIN_RING_M2 = 1.0
 MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
@@ -40,7 +43,9 @@ FILL_RUN_M = (1.0, 16.0)  # straight behind the arc before reversing
 MIN_REVERSE_M = 1.0
 BEYOND_M = 3.0  # an arc begins and ends gently
 APART = 10  # points
-FILL_STEP_M, FILL_ENOUGH = 0.4, 0.97  # a fill ends where it works this share of all that it could
+FILL_STEP_M, FILL_ENOUGH, TURN_ENOUGH = 0.4, 0.97, 0.995  # a fill, or one with a turn, ends at this share of its work
+BARE_S_PER_M2 = 30.0  # time that a bare square metre in a corner counts as
+BESIDE = 150  # points of a pass before and after an arc that may work the same ground
 
 
 @dataclass(frozen=True)
@@ -56,10 +61,20 @@ class CornerFill:
 
 
 @dataclass(frozen=True)
+class CornerTurn:
+    """Turn in a corner from the end of the fill before it to that of the fill behind it, in place of the arc."""
+
+    before: CornerFill
+    behind: CornerFill
+    way: Connection
+
+
+@dataclass(frozen=True)
 class HeadlandPass:
     """Path of `base` in driving order, points 0.1 m apart; a closed one repeats its first point at the end.
 
     `number` counts from the edge, from 0. One that `is_two_way` is drivable in the opposite direction too.
+    `fills` are driven beside the path, `turns` with their fills in place of a part of it.
     """
 
     number: int
@@ -68,12 +83,18 @@ class HeadlandPass:
     is_around_obstacle: bool
     is_closed: bool
     fills: tuple[CornerFill, ...] = ()
+    turns: tuple[CornerTurn, ...] = ()
     is_two_way: bool = False
 
     @property
     def curvature_radpm(self) -> Float64:
         """Curvature at each point, (N,)."""
         return curvatures(self.heading_rad, arc_length(self.points_m))
+
+    def pose(self, k: int) -> Pose2:
+        """Pose at an index, around the end of a closed pass."""
+        k %= len(self.points_m) - 1
+        return Pose2(*map(float, (*self.points_m[k], self.heading_rad[k])))
 
 
 def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: float) -> list[HeadlandPass]:
@@ -95,7 +116,8 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
         for k, depth in enumerate(depths[1:], 1):
             found += _passes_around(shrink(drivable.free, depth), space, rig, k)
         if rig.has_reverse:
-            found, bare = _all_filled(found, drivable, space, rig)
+            inside = shrink(drivable.free, depths[-1] + 0.5 * rig.working_width_m)
+            found, bare = _all_filled(found, drivable, space, rig, inside)
             bare_m2 = round(bare.intersection(shape.difference(shrink(drivable.free, depths[-1]))).area, 3)
         best = min(best, (bare_m2, found), key=lambda b: b[0])
         if bare_m2 <= MUCH_BARE * drivable.free.area:
@@ -108,35 +130,109 @@ def _passes_around(shape: BaseGeometry, space: FreeSpace, rig: Rig, number: int)
 
 
 def _all_filled(
-    passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig
+    passes: list[HeadlandPass], drivable: DrivableArea, space: FreeSpace, rig: Rig, inside: BaseGeometry
 ) -> tuple[list[HeadlandPass], BaseGeometry]:
-    """The passes with the fills that each work `corner_fill_m2` or more of what else stays bare, and what then is."""
-    bare = drivable.free.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
-    found = []
-    for ring in passes:
-        kept: list[CornerFill] = []
-        for longest in _fills(ring, space, rig) if ring.is_closed else ():
-            fill, gain_m2 = _as_long_as_needed(longest, ring, bare, rig)
-            if gain_m2 >= rig.config.corner_fill_m2 and _is_apart(fill, kept, len(ring.points_m) - 1):
-                kept.append(fill)
-                bare = bare.difference(_fill_area(ring, fill, rig))
-        found.append(replace(ring, fills=tuple(kept)))
+    """The passes with fills and turns at their corners, and what then is bare beside the area `inside` all passes.
+
+    A corner has the fills that each work `corner_fill_m2` or more of what else stays bare; or a turn in place of its
+    arc where that takes less time, bare ground counted as time.
+    """
+    areas = [pass_coverage(p, rig) for p in passes]
+    bare = drivable.free.difference(shapely.union_all([*areas, inside]))
+    found = list(passes)
+    for n, ring in reversed(list(enumerate(passes))):  # the strips beside an arc that is left out are filled before it
+        for before, behind in _fills(ring, space, rig) if ring.is_closed else ():
+            kept, left = list[CornerFill](), bare
+            for longest in (behind, before):
+                if longest is None:
+                    continue
+                fill, gain_m2 = _as_long_as_needed(longest, ring, left, rig)
+                if gain_m2 >= rig.config.corner_fill_m2 and _is_apart(fill, [*found[n].fills, *kept], found[n]):
+                    kept.append(fill)
+                    left = left.difference(_fill_area(ring, fill, rig))
+            filled = replace(found[n], fills=(*found[n].fills, *kept))
+            if before is not None and behind is not None:
+                others = [*areas[:n], *areas[n + 1 :], inside]
+                turned = _with_turn(found[n], before, behind, bare, others, space, rig)
+                if turned is not None:
+                    saved_s = (
+                        _fills_s(kept, rig) + _arc_s(before, behind, ring, rig) - _turn_s(turned[0].turns[-1], rig)
+                    )
+                    if saved_s > BARE_S_PER_M2 * (turned[1].area - left.area):
+                        filled, left = turned
+            found[n], bare = filled, left
+        areas[n] = pass_coverage(found[n], rig)
     return found, bare
 
 
-def _is_apart(fill: CornerFill, others: Sequence[CornerFill], count: int) -> bool:
-    """Whether on a pass of `count` points no fill behind a corner begins shortly beyond one before a corner."""
+def _with_turn(
+    ring: HeadlandPass, before: CornerFill, behind: CornerFill, bare: BaseGeometry, others: Sequence[BaseGeometry],
+    space: FreeSpace, rig: Rig,
+) -> tuple[HeadlandPass, BaseGeometry] | None:  # fmt: skip
+    """The pass with a turn in place of an arc, between fills as long as needed, and what is bare then."""
+    n = len(ring.points_m) - 1
+    length = (behind.index - before.index) % n
+    if not _is_alone(before.index, length, ring):
+        return None
+    arc = _strip(ring, before.index + np.arange(length + 1), rig)
+    beside = min(BESIDE, (n - length) // 2)
+    sides = [before.index + np.arange(-beside, 1), behind.index + np.arange(beside + 1)]
+    around = [a for a in others if a.intersects(arc)] + [_strip(ring, side, rig) for side in sides]
+    left = bare.union(arc.difference(shapely.union_all(around)).intersection(space.allowed))
+    behind, _ = _as_long_as_needed(behind, ring, left, rig, TURN_ENOUGH)
+    left = left.difference(_fill_area(ring, behind, rig))
+    before, _ = _as_long_as_needed(before, ring, left, rig, TURN_ENOUGH)
+    left = left.difference(_fill_area(ring, before, rig))
+    first, last = (ring.pose(f.index).ahead(f.by_m) for f in (before, behind))
+    way = find_turn(ConnectionRequest(first, last, AT_ONCE_M, rig.config.line_up_m), space, rig.turn_times)
+    return None if way is None else (replace(ring, turns=(*ring.turns, CornerTurn(before, behind, way))), left)
+
+
+def _is_alone(first: int, length: int, ring: HeadlandPass) -> bool:
+    """Whether the fills and turns of a pass are all apart from a part of it."""
+    n = len(ring.points_m) - 1
+    if any((f.index - first) % n <= length for f in ring.fills):
+        return False
+    spans = [(t.before.index, (t.behind.index - t.before.index) % n) for t in ring.turns]
+    return all((a - first) % n > length and (first - a) % n > size for a, size in spans)
+
+
+def _fills_s(fills: Sequence[CornerFill], rig: Rig) -> float:
+    """Time of fills."""
+    times = rig.turn_times
+    out_s = 1.0 / rig.work_mps + 1.0 / times.reverse_mps
+    return sum(abs(f.by_m) * out_s + 2.0 * times.cusp_s for f in fills)
+
+
+def _arc_s(before: CornerFill, behind: CornerFill, ring: HeadlandPass, rig: Rig) -> float:
+    """Time of an arc."""
+    return (behind.index - before.index) % (len(ring.points_m) - 1) * STEP_M / rig.turn_mps
+
+
+def _turn_s(turn: CornerTurn, rig: Rig) -> float:
+    """Time of a turn with its fills."""
+    is_reversed = turn.way.legs[0].direction < 0
+    fills_m = abs(turn.before.by_m) + abs(turn.behind.by_m)
+    return fills_m / rig.work_mps + turn.way.time_s + is_reversed * rig.turn_times.cusp_s
+
+
+def _is_apart(fill: CornerFill, others: Sequence[CornerFill], ring: HeadlandPass) -> bool:
+    """Whether on a pass no fill behind a corner begins shortly beyond one before a corner, nor any within a turn."""
+    count = len(ring.points_m) - 1
     behind, before = ([f.index for f in (fill, *others) if f.by_m * sign > 0.0] for sign in (-1.0, 1.0))
-    return not any(0 < (b - a) % count <= APART for a in before for b in behind)
+    is_within = not _is_alone(fill.index, 0, replace(ring, fills=()))
+    return not is_within and not any(0 < (b - a) % count <= APART for a in before for b in behind)
 
 
-def _as_long_as_needed(fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig) -> tuple[CornerFill, float]:
+def _as_long_as_needed(
+    fill: CornerFill, ring: HeadlandPass, bare: BaseGeometry, rig: Rig, enough: float = FILL_ENOUGH
+) -> tuple[CornerFill, float]:
     """A fill without its end where it works next to nothing of the bare area, and what it works of it, m²."""
     count = max(1, round(abs(fill.by_m) / FILL_STEP_M))
     lengths = np.linspace(0.0, fill.by_m, count + 1)[1:]
     strip = _fill_area(ring, fill, rig).intersection(bare)
     gains = np.array([strip.intersection(_fill_area(ring, replace(fill, by_m=m), rig)).area for m in lengths])
-    k = int(np.argmax(gains >= FILL_ENOUGH * gains[-1]))
+    k = int(np.argmax(gains >= enough * gains[-1]))
     return replace(fill, by_m=float(lengths[k])), float(gains[k])
 
 
@@ -148,10 +244,21 @@ def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> 
 
 def pass_coverage(ring: HeadlandPass, rig: Rig) -> BaseGeometry:
     """Area worked by a pass and its fills."""
-    left, right = rig.working_edges(ring.points_m, ring.heading_rad)
-    keep = np.unique(np.append(np.arange(0, len(ring.points_m), 4), len(ring.points_m) - 1))
-    shapes = [worked(left[keep], right[keep])]
-    return shapely.union_all([*shapes, *(_fill_area(ring, fill, rig) for fill in ring.fills)]).buffer(0.01)
+    is_driven = np.ones(len(ring.points_m), np.bool_)
+    n = len(is_driven) - 1
+    for turn in ring.turns:
+        is_driven[(turn.before.index + np.arange(1, (turn.behind.index - turn.before.index) % n)) % n] = False
+    is_driven[n] = is_driven[0]
+    fills = [*ring.fills, *(fill for turn in ring.turns for fill in (turn.before, turn.behind))]
+    strips = [_strip(ring, run, rig) for run in _runs(is_driven, ring.is_closed)]
+    return shapely.union_all([*strips, *(_fill_area(ring, fill, rig) for fill in fills)]).buffer(0.01)
+
+
+def _strip(ring: HeadlandPass, index: Int64, rig: Rig) -> BaseGeometry:
+    """Area worked over points of a pass."""
+    index = index[np.unique(np.append(np.arange(0, len(index), 4), len(index) - 1))]
+    index = index % (len(ring.points_m) - 1) if ring.is_closed else index
+    return worked(*rig.working_edges(ring.points_m[index], ring.heading_rad[index]))
 
 
 def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
@@ -247,22 +354,25 @@ def _trimmed(run: Int64, is_level: Bool) -> Int64:
     return run[at[0] : at[-1] + 1] if len(at) else run[:0]
 
 
-def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[CornerFill]:
-    """Possible fills at the corners of a closed pass, to either side: behind each, then before each."""
+def _fills(ring: HeadlandPass, space: FreeSpace, rig: Rig) -> list[tuple[CornerFill | None, CornerFill | None]]:
+    """Longest fills at each corner of a closed pass, to either side: before it and behind it."""
     curvature = ring.curvature_radpm[:-1]
-    n, behind, before = len(curvature), list[CornerFill](), list[CornerFill]()
+    n, found = len(curvature), list[tuple[CornerFill | None, CornerFill | None]]()
     reach = rig.radius_m + rig.working_width_m / 2.0
     for start, length, turn in [*_bends(curvature, 0.5 / rig.radius_m), *_bends(-curvature, 0.5 / rig.radius_m)]:
         corner_m = reach * np.tan(min(turn, MAX_FILL_RAD) / 2.0) + BEYOND_M  # from the ends of the arc, at most
-        for ends, sign in ((start + length, 1), (start, -1)):
-            index = _straight_near(curvature, int(ends), sign)
+        fills = list[CornerFill | None]()
+        for ends, sign in ((start, -1), (start + length, 1)):
+            index, fill = _straight_near(curvature, int(ends), sign), None
             if index is not None:
                 gap_m = ((index - ends) * sign % n) * STEP_M
                 most = gap_m + corner_m + sign * rig.working_x_m
                 free = _free_m(ring, index, -sign * (most + rig.config.stop_gap_m), space) - rig.config.stop_gap_m
                 if free > gap_m + MIN_REVERSE_M:
-                    (behind if sign > 0 else before).append(CornerFill(index, -sign * free))
-    return [*behind, *before]
+                    fill = CornerFill(index, -sign * free)
+            fills.append(fill)
+        found.append((fills[0], fills[1]))
+    return found
 
 
 def _bends(curvature_radpm: Float64, least_radpm: float) -> list[tuple[int, int, float]]:

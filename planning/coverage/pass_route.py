@@ -1,5 +1,6 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,9 +8,9 @@ from shapely.geometry import LineString
 
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
-from planning.coverage.headland import APART, HeadlandPass
+from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import Connection, Leg, bounds_s, straight
+from planning.turns.search import AT_ONCE_M, Connection, Leg, bounds_s, straight
 
 STRIDE = 25  # points of a pass between two candidates, 2.5 m
 CLOSING = 3  # points by which a pass overlaps its own beginning
@@ -29,27 +30,41 @@ class PassDrive:
     missed: list[HeadlandPass]
 
 
+@dataclass(frozen=True)
+class _Entry:
+    """Where the drive over a closed pass begins and ends: at one of its points, or in a corner without its turn."""
+
+    index: int
+    start: Pose2
+    end: Pose2
+    turn: CornerTurn | None = None
+
+    @property
+    def saved_s(self) -> float:
+        """Time of the turn that is not driven."""
+        return 0.0 if self.turn is None else self.turn.way.time_s
+
+
 def drive_passes(connector: PathConnector, start: Pose2) -> PassDrive:
     """Drives the closed passes, from each to the one inside it first.
 
-    A pass along the edge is left before a corner: on a straight the tail would swing over the edge.
+    A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge.
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
     pieces: list[RoutePiece] = []
-    pose, number = start, 0
+    last, number = _Entry(0, start, start), 0
     while number < len(left):
         ring, entries = left[number]
-        best = _best(connector, pose, ring, entries, left[number + 1] if number + 1 < len(left) else None)
+        best = _best(connector, last, ring, entries, left[number + 1][1] if number + 1 < len(left) else [])
         if best is None:
             number += 1
             continue
-        connection, k = best
-        pieces += [*turn_pieces(connection, ring.number), *_loop(ring, k)]
-        pose = _pose(ring, k + CLOSING)
+        connection, last = best
+        pieces += [*turn_pieces(connection, ring.number), *_loop(ring, last)]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number = 0  # those that were not reached before may be now
-    return PassDrive(pieces, pose, [ring for ring, _ in left])
+    return PassDrive(pieces, last.end, [ring for ring, _ in left])
 
 
 def _is_inside(ring: HeadlandPass, outer: HeadlandPass, width_m: float) -> bool:
@@ -61,68 +76,70 @@ def _is_inside(ring: HeadlandPass, outer: HeadlandPass, width_m: float) -> bool:
 
 def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> HeadlandPass:
     """A closed pass cut open without its fills, where a turn leads from one of the `ends` of lines to it."""
-    rig, entries = connector.rig, _entries(ring, connector.rig.radius_m)
-    poses, first = [_pose(ring, k) for k in entries], entries[0]
+    rig, ring = connector.rig, replace(ring, fills=(), turns=())
+    entries = _entries(ring, rig.radius_m)
+    poses, first = [e.start for e in entries], entries[0].index
     if ends:
         bound = bounds_s(ends, poses, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)
         ranked = np.argsort(bound, axis=None, kind="stable")[:MAX_ENTRIES]
         near = [(int(k) // len(poses), int(k) % len(poses)) for k in ranked]
         found = (n for e, n in near if connector.turn(connector.request(ends[e], poses[n])) is not None)
-        first = entries[next(found, near[0][1])]
+        first = entries[next(found, near[0][1])].index
     index = (first + np.arange(len(ring.points_m) + CLOSING)) % (len(ring.points_m) - 1)
     heading = np.unwrap(ring.heading_rad[index])
-    return replace(ring, points_m=ring.points_m[index], heading_rad=heading, is_closed=False, fills=())
+    return replace(ring, points_m=ring.points_m[index], heading_rad=heading, is_closed=False)
 
 
 def _best(
-    connector: PathConnector, start: Pose2, ring: HeadlandPass, entries: list[int],
-    following: tuple[HeadlandPass, list[int]] | None,
-) -> tuple[Connection, int] | None:  # fmt: skip
+    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry], following: list[_Entry]
+) -> tuple[Connection, _Entry] | None:
     """Connection to the entry of least time together with the connection from there to the next pass."""
-    poses = [_pose(ring, k) for k in entries]
-    order = _by_time(connector, start, poses)
+    order = _by_time(connector, last, entries)
     found: list[tuple[float, int, Connection]] = []
     for n in order:
-        connection = connector.turn(connector.request(start, poses[n]))
+        connection = _link(connector, last, entries[n])
         if connection is None:
             continue
         onwards_s = 0.0
-        if following is not None:
-            goals = [_pose(following[0], k) for k in following[1]]
-            leave = _pose(ring, entries[n] + CLOSING)
-            links = (
-                connector.turn(connector.request(leave, goals[k]))
-                for k in _by_time(connector, leave, goals)[:MAX_LINKS]
-            )
-            onwards_s = min((link.time_s for link in links if link is not None), default=NO_LINK_S)
-        found.append((round(connection.time_s + onwards_s, 6), n, connection))
+        if following:
+            near = _by_time(connector, entries[n], following)[:MAX_LINKS]
+            links = ((_link(connector, entries[n], following[k]), following[k].saved_s) for k in near)
+            onwards_s = min((link.time_s - saved_s for link, saved_s in links if link is not None), default=NO_LINK_S)
+        found.append((round(connection.time_s - entries[n].saved_s + onwards_s, 6), n, connection))
         if len(found) == MAX_ENTRIES:
             break
     if found:
         _, n, connection = min(found, key=lambda f: f[:2])
         return connection, entries[n]
-    tried = [*order[:THOROUGH_NEAR], *_nearest_to_others(connector, ring, poses)[:THOROUGH]]
+    tried = [*order[:THOROUGH_NEAR], *_nearest_to_others(connector, ring, entries)[:THOROUGH]]
     for n in dict.fromkeys(tried):
-        found_along = connector.find(connector.request(start, poses[n]))
+        found_along = connector.find(connector.request(last.end, entries[n].start))
         if found_along is not None:
             return found_along, entries[n]
     return None
 
 
-def _nearest_to_others(connector: PathConnector, ring: HeadlandPass, entries: list[Pose2]) -> list[int]:
+def _link(connector: PathConnector, last: _Entry, following: _Entry) -> Connection | None:
+    """Turn from where the drive over one pass ends to where that over another begins."""
+    request = connector.request(last.end, following.start)
+    return connector.turn(request if last.turn is None else replace(request, run_out_m=AT_ONCE_M))
+
+
+def _nearest_to_others(connector: PathConnector, ring: HeadlandPass, entries: list[_Entry]) -> list[int]:
     """Entries of a pass, nearest to another pass first."""
     others = [p.points_m[::STRIDE] for p in connector.headland_passes if p is not ring]
     if not others:
         return []
-    gaps = np.array([pose[:2] for pose in entries])[:, None] - np.vstack(others)
+    gaps = np.array([e.start[:2] for e in entries])[:, None] - np.vstack(others)
     return [int(k) for k in np.argsort(np.hypot(*gaps.T).min(axis=0), kind="stable")]
 
 
-def _by_time(connector: PathConnector, start: Pose2, goals: list[Pose2]) -> list[int]:
-    """Indices of the goals, nearest in time first."""
-    rig = connector.rig
-    bound = bounds_s([start], goals, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)[0]
-    return [int(k) for k in np.argsort(bound, kind="stable")]
+def _by_time(connector: PathConnector, last: _Entry, entries: list[_Entry]) -> list[int]:
+    """Indices of the entries, nearest in time first."""
+    rig, goals = connector.rig, [e.start for e in entries]
+    bound = bounds_s([last.end], goals, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    saved_s = np.array([e.saved_s for e in entries])
+    return [int(k) for k in np.argsort(bound - saved_s, kind="stable")]
 
 
 def turn_pieces(connection: Connection, line: int) -> list[RoutePiece]:
@@ -130,8 +147,11 @@ def turn_pieces(connection: Connection, line: int) -> list[RoutePiece]:
     return [RoutePiece(PathSectionType.TURN, line, leg, False) for leg in connection.legs]
 
 
-def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
-    """Points where a pass is straight for some metres and before corners, apart from fills; else the straightest."""
+def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
+    """The turns of a pass, and where it is straight for some metres and before corners, apart from fills and turns.
+
+    Without any, where it is straightest.
+    """
     n = len(ring.points_m) - 1
     curvature = ring.curvature_radpm[:-1]
     around = np.max([np.roll(np.abs(curvature), k) for k in range(-AROUND, AROUND + 1, 2)], axis=0)
@@ -143,17 +163,27 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[int]:
         level = np.abs(curvature[before]) < STRAIGHT_RADPM
         if level.any():
             flat.append(int(before[int(np.argmax(level))]))
-    flat = [k for k in flat if all(APART < (f.index - k) % n < n - APART for f in ring.fills)] or flat
-    return flat or [int(k) for k in candidates[np.argsort(around[candidates], kind="stable")[:3]]]
+    spans = [(t.before.index, (t.behind.index - t.before.index) % n) for t in ring.turns]
+
+    def driven(points: Iterable[int]) -> list[int]:
+        return [k for k in points if all((k - first) % n > length for first, length in spans)]
+
+    apart = [k for k in driven(flat) if all(APART < (f.index - k) % n < n - APART for f in ring.fills)]
+    straightest = (int(k) for k in candidates[np.argsort(around[candidates], kind="stable")])
+    points = apart or driven(flat) or driven(straightest)[:3]
+    corners = [_Entry(t.behind.index, _end(ring, t.behind), _end(ring, t.before), t) for t in ring.turns]
+    return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
 
 
-def _pose(ring: HeadlandPass, k: int) -> Pose2:
-    k %= len(ring.points_m) - 1
-    return Pose2(*map(float, (*ring.points_m[k], ring.heading_rad[k])))
+def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:
+    """Pose at the end of a fill, away from the pass."""
+    return ring.pose(fill.index).ahead(fill.by_m)
 
 
-def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
-    n = len(ring.points_m) - 1
+def _loop(ring: HeadlandPass, entry: _Entry) -> list[RoutePiece]:
+    """Once around a pass, from where its drive begins to where it ends."""
+    n, first = len(ring.points_m) - 1, entry.index
+    length = n + CLOSING if entry.turn is None else (entry.turn.before.index - first) % n
     index = (first + np.arange(n + CLOSING + 1)) % n
     heading, curvature = np.unwrap(ring.heading_rad[index]), ring.curvature_radpm[index]
 
@@ -161,14 +191,36 @@ def _loop(ring: HeadlandPass, first: int) -> list[RoutePiece]:
         leg = Leg(1, ring.points_m[index[a : b + 1]], heading[a : b + 1], curvature[a : b + 1])
         return RoutePiece(PathSectionType.HEADLAND, ring.number, leg, True)
 
+    stops: list[tuple[int, float, CornerFill | CornerTurn]]
+    stops = [((f.index - first) % n, f.by_m, f) for f in ring.fills]
+    stops += [((t.before.index - first) % n, t.before.by_m, t) for t in ring.turns if t is not entry.turn]
     pieces, done = [], 0
-    for offset, by_m in sorted(((f.index - first) % n, f.by_m) for f in ring.fills):
-        corner = Pose2(*map(float, (*ring.points_m[index[offset]], heading[offset])))
+    for offset, _, stop in sorted(stops, key=lambda s: s[:2]):
         if offset > done:
             pieces.append(piece(done, offset))
-        for leg in (straight(corner, corner.ahead(by_m)), straight(corner.ahead(by_m), corner)):
-            is_working = leg.direction > 0
-            section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN
-            pieces.append(RoutePiece(section, ring.number, leg, is_working))
-        done = offset
-    return [*pieces, piece(done, n + CLOSING)]
+        pieces += _fill_pieces(ring, stop) if isinstance(stop, CornerFill) else _turn_pieces(ring, stop)
+        done = offset if isinstance(stop, CornerFill) else (stop.behind.index - first) % n
+    pieces.append(piece(done, length))
+    if entry.turn is None:
+        return pieces
+    out = _straight_piece(ring, entry.start, ring.pose(first))
+    return [out, *pieces, _straight_piece(ring, ring.pose(first + length), entry.end)]
+
+
+def _fill_pieces(ring: HeadlandPass, fill: CornerFill) -> list[RoutePiece]:
+    corner, away = ring.pose(fill.index), _end(ring, fill)
+    return [_straight_piece(ring, corner, away), _straight_piece(ring, away, corner)]
+
+
+def _turn_pieces(ring: HeadlandPass, turn: CornerTurn) -> list[RoutePiece]:
+    into = _straight_piece(ring, ring.pose(turn.before.index), _end(ring, turn.before))
+    out = _straight_piece(ring, _end(ring, turn.behind), ring.pose(turn.behind.index))
+    return [into, *turn_pieces(turn.way, ring.number), out]
+
+
+def _straight_piece(ring: HeadlandPass, start: Pose2, goal: Pose2) -> RoutePiece:
+    """Straight on with work, or back without."""
+    leg = straight(start, goal)
+    is_working = leg.direction > 0
+    section = PathSectionType.HEADLAND if is_working else PathSectionType.TURN
+    return RoutePiece(section, ring.number, leg, is_working)

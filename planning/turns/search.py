@@ -22,6 +22,7 @@ MIN_RUN_M = 0.6
 FACTORS = (1.0, 1.3, 1.8)
 MORE_M = (0.0, 1.5, 3.5, 6.5)  # longer straight ends
 BACK_M = (-3.0, -5.5, -9.0)  # straight ends in reverse
+AT_ONCE_M = -1e-10  # straight end where the rig stands: reversing, an arc follows at once
 OVER_M = (3.0, 8.0)  # beyond the other end of a line
 FIRST_LIMIT, LIMIT = 24, 160
 NEAR_M, FAR_S = 40.0, 12.0  # farther apart a bound is the straight distance and this time

@@ -67,7 +67,7 @@ def test_remains_that_are_not_taken_get_no_swath(rig: Rig) -> None:
     assert swaths_over_remains(box(30, 20, 40, 21.5), rig, space, WORTH, lambda _, __: False) == []
 
 
-def test_passes_are_worked_with_all_their_fills(
+def test_passes_are_worked_with_all_their_fills_and_turns(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
     boundary = ((0, 0), (77, 0), (77, 37), (58, 37), (58, 47), (0, 47))  # two fills begin at the same place
@@ -75,7 +75,8 @@ def test_passes_are_worked_with_all_their_fills(
     work = mission.work.model_copy(update={"turns": "reverse"})
     other = site.model_copy(update={"boundary_m": boundary, "no_go": ()})
     plan = plan_field(other, vehicle, harrow, work, planning.planner, 0)
-    passes = [p for p in plan.headland_passes if p.fills]
-    assert passes
+    passes = [p for p in plan.headland_passes if p.fills or p.turns]
+    assert any(p.fills for p in passes)
+    assert any(p.turns for p in passes)
     expected = shapely.union_all([pass_coverage(p, plan.rig) for p in passes]).intersection(plan.drivable.free)
     assert expected.difference(plan.planned_area.buffer(0.05)).area < 0.1
