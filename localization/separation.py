@@ -27,6 +27,7 @@ from messages.motion import LidarOdometry
 
 KEEP_S = 150.0
 SCANS_S = 1.0  # lidar odometry that ends earlier says nothing of the present
+COURSE_M, COURSE_TURN_RAD, COURSE_GATE = 10.0, 0.1, 3.0  # straight part for a course; sigmas of one that is used
 SLIP_SIGMA = 0.3  # wheels that spin (1) are 3.3 sigma, and such that turn against the motion (2) more than any limit
 
 
@@ -45,6 +46,8 @@ class SeparationConfig(Config):
     gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
     lidar_m: float = Field(gt=0.0, le=1.0, description="error of a lidar pose in its local map")
     lidar_share: float = Field(ge=0.0, le=0.5, description="drift of lidar odometry per path")
+    course_deg: float = Field(gt=0.0, le=5.0, description="error of the mounts of lidar and antennas in yaw")
+    course_walk_deg: float = Field(ge=0.0, le=1.0, description="change of that error, per square root of a second")
 
 
 @dataclass(frozen=True)
@@ -256,6 +259,45 @@ class LidarPath:
         return np.asarray((1.0 - share) * self._rows[k - 1] + share * self._rows[k])
 
 
+class CourseOffset:
+    """Angle by which lidar odometry is turned against the positions: mounts of lidar and antennas in yaw.
+
+    Learned on straight parts of the path, and given as of a time, so that a fault that began later is not in it.
+    """
+
+    def __init__(self, config: SeparationConfig) -> None:
+        self._walk = math.radians(config.course_walk_deg) ** 2
+        self._stamps: deque[int] = deque()
+        self._values: deque[tuple[float, float]] = deque()
+        self._prior = 0.0, math.radians(config.course_deg) ** 2
+
+    def clear(self) -> None:
+        """Drops what is known of times; the newest angle remains, as well known as mounts are without a drive."""
+        newest = self._values[-1][0] if self._values else 0.0
+        self._stamps.clear()
+        self._values.clear()
+        self._prior = newest, self._prior[1]
+
+    def at(self, stamp_ns: int) -> tuple[float, float]:
+        """Angle (rad) and variance as known at a time."""
+        k = bisect_right(self._stamps, stamp_ns)
+        return self._values[k - 1] if k else self._prior
+
+    def learn(self, stamp_ns: int, angle_rad: float, variance: float) -> None:
+        """Takes the angle of a straight part of the path; one that contradicts the others is not used."""
+        angle, known = self._values[-1] if self._values else self._prior
+        if self._stamps:
+            known = min(known + self._walk * (stamp_ns - self._stamps[-1]) * 1e-9, self._prior[1])
+        total, off = known + variance, angle_rad - angle
+        if off * off <= COURSE_GATE**2 * total:
+            angle, known = angle + known / total * off, known * variance / total
+        self._stamps.append(stamp_ns)
+        self._values.append((angle, known))
+        while self._stamps[-1] - self._stamps[0] > KEEP_S * 1e9:
+            self._stamps.popleft()
+            self._values.popleft()
+
+
 class OdometrySeparation:
     """Positions of base against wheels at the calibration of the window's begin, or lidar odometry, both with gyro."""
 
@@ -266,11 +308,14 @@ class OdometrySeparation:
         self._stamp_s = stamp_s
         self._rows: _Rows[_Keyframe] = _Rows()
         self._columns = np.zeros((2, 4))
-        self.lidar = LidarPath()
+        self.lidar, self._course = LidarPath(), CourseOffset(config)
+        self._straight: _Keyframe | None = None  # where the part of the path began whose course is measured next
 
     def clear(self) -> None:
         """Drops all keyframes."""
         self._rows.clear()
+        self._course.clear()
+        self._straight = None
 
     def advance(self, T_odom_base: Float64, columns: Float64) -> None:
         """Adds the displacement between two keyframes: `columns` (3, 4) in base at the first one, which is given."""
@@ -297,6 +342,34 @@ class OdometrySeparation:
             state.sigmas[15:19],
         )  # fmt: skip
         self._rows.add(row)
+        self._learn_course()
+
+    def _learn_course(self) -> None:
+        """Measures the course offset when lidar odometry has passed `COURSE_M`."""
+        first, last = self._straight, self._rows.at(self.lidar.last_ns)
+        if last is None or (first is not None and last.stamp_ns <= first.stamp_ns):
+            return
+        found = None if first is None else self._by_lidar(first, last, 0.0)
+        if first is not None and found is not None and math.hypot(*found[0]) < COURSE_M:
+            return
+        self._straight = last
+        if first is None or found is None or abs(last.heading_rad - first.heading_rad) > COURSE_TURN_RAD:
+            return
+        moved_m, variance = found
+        d_m, path2 = last.p_map_m - first.p_map_m - moved_m, float(moved_m @ moved_m)
+        across = np.array([-moved_m[1], moved_m[0]])
+        covariance = variance * np.eye(2) + self._common(first, last, moved_m)
+        self._course.learn(last.stamp_ns, float(across @ d_m) / path2, float(across @ covariance @ across) / path2**2)
+
+    def _by_lidar(self, first: _Keyframe, last: _Keyframe, course_rad: float) -> tuple[Float64, float] | None:
+        """Displacement (2,) in `map` by lidar odometry that is turned by an angle, and its variance beside that of all
+        paths; None where the lidar path does not reach."""
+        begin, end, cfg = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns), self._config
+        if begin is None or end is None:
+            return None
+        moved_m = last.odom_m - first.odom_m + (end - begin)[:2]
+        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(begin[2] + end[2])
+        return _turn(first.yaw_map_odom_rad + course_rad) @ moved_m, white
 
     def slip_at(self, stamp_ns: int) -> tuple[Float64, Float64] | None:
         """Slip (4,) and its sigmas (4,) at a time, None before the first keyframe."""
@@ -319,16 +392,18 @@ class OdometrySeparation:
 
     def by_lidar_since(self, stamp_ns: int) -> Separation | None:
         """Separation from lidar odometry since a time, of the newest keyframe that scans reach; None without them."""
-        newest, cfg = self._rows.newest, self._config
+        newest = self._rows.newest
         first, last = self._rows.at(stamp_ns), self._rows.at(self.lidar.last_ns)
         if newest is None or first is None or last is None or last.stamp_ns <= first.stamp_ns:
             return None
-        begin, end = self.lidar.at(first.stamp_ns), self.lidar.at(last.stamp_ns)
-        if begin is None or end is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
+        course_rad, course_variance = self._course.at(first.stamp_ns)
+        found = self._by_lidar(first, last, course_rad)
+        if found is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
             return None
-        moved_m = _turn(first.yaw_map_odom_rad) @ (last.odom_m - first.odom_m + (end - begin)[:2])
-        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(begin[2] + end[2])
-        covariance = white * np.eye(2) + self._common(first, last, moved_m)
+        moved_m, white = found
+        across = np.array([-moved_m[1], moved_m[0]])
+        covariance = white * np.eye(2) + course_variance * np.outer(across, across)
+        covariance += self._common(first, last, moved_m)
         age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, np.zeros(2))
 
