@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from geometry.angles import wrap
-from geometry.transforms import invert, transform
+from geometry.transforms import invert, planar, transform
 from messages.message import Message
 from messages.motion import LidarOdometry
 from messages.sensors import GnssFix, GnssSolution, ImuSample, WheelSample
@@ -187,8 +187,9 @@ def edited(truth: Truth, case: Case, draw: Draw) -> list[Entry]:
     return out
 
 
-def lidar_motions(truth: Truth, seed: int, seconds: float) -> list[Entry]:
-    """Lidar odometry at 5 Hz as a model of matching: white errors of each pose (5 mm, 0.02°), drift of 0.1 %.
+def lidar_motions(truth: Truth, seed: int, seconds: float, yaw_deg: float | None = None) -> list[Entry]:
+    """Lidar odometry at 5 Hz as a model of matching: white errors of each pose (5 mm, 0.02°), drift of 0.1 %, and a
+    mount that is off in yaw, by 0.3° (1 σ) where it is not given.
 
     No scans are computed: the model is that of a yard with hedges and posts, see `benchmark localization_synthetic`.
     """
@@ -198,11 +199,13 @@ def lidar_motions(truth: Truth, seed: int, seconds: float) -> list[Entry]:
         200_000_000,
     )
     covariance = np.diag(np.repeat([math.radians(0.03), 0.008], 3) ** 2)
+    off_deg = float(np.random.default_rng([seed, 23]).normal(0.0, 0.3)) if yaw_deg is None else yaw_deg
+    mount = planar(0.0, 0.0, math.radians(off_deg))
     out: list[Entry] = []
     before, T_before = np.eye(4), truth.at(START_NS + period_ns)
     for stamp_ns in range(START_NS + 2 * period_ns, START_NS + int((seconds - 1.0) * 1e9), period_ns):
         T = truth.at(stamp_ns)
-        motion = invert(T_before) @ T
+        motion = invert(mount) @ invert(T_before) @ T @ mount
         after = transform(rng.normal(0.0, 0.005, 3), rng.normal(0.0, math.radians(0.02), 3))
         drift_m = 0.001 * float(np.linalg.norm(motion[:3, 3])) * rng.standard_normal(3)
         measured = invert(before) @ motion @ transform(drift_m, (0.0, 0.0, 0.0)) @ after

@@ -92,14 +92,14 @@ def test_slip_explains_only_what_lies_along_the_wheels():
     assert across.ratio_beside_slip([across.wheel_m]) == pytest.approx(10.0)
 
 
-def with_lidar(name: str, drift_mps: tuple[float, float, float]):
-    """Row and codes of a drive with lidar odometry, which drifts from the begin of the fault."""
+def with_lidar(name: str, drift_mps: tuple[float, float, float], yaw_deg: float = 0.0):
+    """Row and codes of a drive with lidar odometry of a mount that is off; it drifts from the begin of the fault."""
     case = dataclasses.replace(BY_NAME[name], from_s=14.0, for_s=14.0)
     draw = Draw(2)
     draw.delay_s = 0.0
     truth = drive(36.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
     motions = []
-    for arrival_ns, topic, motion in lidar_motions(truth, 2, 36.0):
+    for arrival_ns, topic, motion in lidar_motions(truth, 2, 36.0, yaw_deg):
         T, is_late = motion.T_from_to.copy(), motion.stamp_ns > START_NS + 14_000_000_000
         T[:3, 3] += 0.2 * np.array(drift_mps) * is_late
         motions.append((arrival_ns, topic, dataclasses.replace(motion, T_from_to=T)))
@@ -112,6 +112,17 @@ def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():
     assert codes & {"gnss.contradicts_odometry", "gnss.contradicts_velocity"}
     assert row.misleading_s == [0.0] * 4
     assert row.max_excess_m < 0.02
+
+
+@pytest.mark.parametrize("yaw_deg", [-0.6, 0.6])
+def test_a_lidar_mounted_off_in_yaw_is_learned(yaw_deg):
+    row, codes = with_lidar("clean", (0.0, 0.0, 0.0), yaw_deg)
+    assert not {c for c in codes if c.startswith("gnss.")}
+    assert row.max_excess_m < 0.0
+    assert row.available[-1] == 1.0  # the level stays below 0.5 m
+    row, codes = with_lidar("spoofed ramp 0.1 m/s 30 s", (0.0, 0.0, 0.0), yaw_deg)
+    assert codes & {"gnss.contradicts_odometry", "gnss.contradicts_velocity"}
+    assert row.misleading_s == [0.0] * 4
 
 
 def test_lidar_odometry_that_the_wheels_contradict_is_not_believed_against_gnss():
