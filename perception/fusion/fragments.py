@@ -1,7 +1,7 @@
 """Fragments: detections and tracks that belong to the box of an existing track and get no track of their own.
 
-lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments; but of one that is detected
-        as a whole nothing with the shape of a person is, who may stand beside it
+lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments, and those within a margin
+        about it; but of one that is detected as a whole nothing outside of its box is that has the shape of a person
 others  their position is less accurate: a detection that may lie within the box of a lidar track is a fragment of it,
         unless its velocity differs or the box is too large for its body
 """
@@ -65,7 +65,8 @@ def _find_fragments(
             half, broad = 0.5 * parents_size[j, 0], 0.5 * parents_size[j, 1]
             if is_lidar[i]:
                 inside = along <= half + margin and across <= broad + margin
-                inside = inside and not (is_person[i] and is_whole[j])
+                is_beside = along > half or across > broad
+                inside = inside and not (is_beside and is_person[i] and is_whole[j])
                 found[i, j] = inside and is_vehicle[j] and size[i, 0] < parents_size[j, 0]
                 continue
             # sigmas of the position along and across the box
