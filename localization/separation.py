@@ -43,7 +43,7 @@ class SeparationConfig(Config):
         ge=0.0, le=1.0, description="error of the mounts in roll and pitch, times the height of the antenna"
     )
     lever_arm_m: float = Field(ge=0.0, le=1.0, description="error of that lever arm, which turns with the machine")
-    gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro")
+    gyro_scale: float = Field(ge=0.0, le=0.1, description="sigma of the scale error of the gyro, for half of the path")
     lidar_m: float = Field(gt=0.0, le=1.0, description="error of a lidar pose in its local map")
     lidar_share: float = Field(ge=0.0, le=0.5, description="drift of lidar odometry per path")
     course_deg: float = Field(gt=0.0, le=5.0, description="error of the mounts of lidar and antennas in yaw")
@@ -193,7 +193,8 @@ class _Keyframe:
     """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
 
     `columns` (2, 4) is the displacement per slip parameter since the start and `odom_m` (2,) the position,
-    both in `odom`; `heading_rad` counts turns; `tilt_m` is what errors of roll and pitch do to base.
+    both in `odom`; `path_m` is the length driven; `heading_rad` counts turns; `tilt_m` is what errors of roll and pitch
+    do to base.
     """
 
     stamp_ns: int
@@ -203,6 +204,7 @@ class _Keyframe:
     velocity_mps: Float64
     columns: Float64
     odom_m: Float64
+    path_m: float
     heading_rad: float
     yaw_map_odom_rad: float
     yaw_variance: float
@@ -333,11 +335,13 @@ class OdometrySeparation:
         heading, last = yaw_of(state.T_map_body), self._rows.newest
         height_m = float((fix.p_map_m - base_m)[2])
         tilt_m = math.hypot(self._config.tilt_m, height_m * math.sqrt(float(np.max(np.diag(state.covariance)[:2]))))
+        odom_m, path_m = T_odom_base[:2, 3].copy(), 0.0
         if last is not None:
             heading = last.heading_rad + wrap(heading - last.heading_rad)
+            path_m = last.path_m + math.dist(odom_m, last.odom_m)
         row = _Keyframe(
             state.stamp_ns, base_m[:2], _sigma_m(fix), tilt_m, state.velocity_mps[:2], self._columns,
-            T_odom_base[:2, 3].copy(), heading, yaw_of(T_map_odom),
+            odom_m, path_m, heading, yaw_of(T_map_odom),
             float(state.covariance[2, 2]) + heading_slow**2 + late_rad**2, float(state.sigmas[14]), state.slip,
             state.sigmas[15:19],
         )  # fmt: skip
@@ -368,7 +372,7 @@ class OdometrySeparation:
         if begin is None or end is None:
             return None
         moved_m = last.odom_m - first.odom_m + (end - begin)[:2]
-        white = 2.0 * cfg.lidar_m**2 + cfg.lidar_share**2 * float(moved_m @ moved_m) + float(begin[2] + end[2])
+        white = 2.0 * cfg.lidar_m**2 + (cfg.lidar_share * (last.path_m - first.path_m)) ** 2 + float(begin[2] + end[2])
         return _turn(first.yaw_map_odom_rad + course_rad) @ moved_m, white
 
     def slip_at(self, stamp_ns: int) -> tuple[Float64, Float64] | None:
@@ -413,10 +417,10 @@ class OdometrySeparation:
         across = np.array([-moved_m[1], moved_m[0]])
         turned = last.heading_rad - first.heading_rad
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
-        yaw += (cfg.gyro_scale * turned) ** 2
         turned_m = self._stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
         white = first.sigma_m**2 + last.sigma_m**2 + turned_m**2 + first.tilt_m**2
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
+        white += (cfg.gyro_scale * turned * 0.5 * (last.path_m - first.path_m)) ** 2
         return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
 
 
