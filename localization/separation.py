@@ -193,8 +193,8 @@ class _Keyframe:
     """A keyframe with a fix: position of base by that fix, and all that predicts later ones.
 
     `columns` (2, 4) is the displacement per slip parameter since the start and `odom_m` (2,) the position,
-    both in `odom`; `path_m` is the length driven; `heading_rad` counts turns; `tilt_m` is what errors of roll and pitch
-    do to base.
+    both in `odom`; `path_m` is the length driven and `turned_rad` the sum of all turns; `heading_rad` counts turns;
+    `tilt_m` is what errors of roll and pitch do to base.
     """
 
     stamp_ns: int
@@ -205,6 +205,7 @@ class _Keyframe:
     columns: Float64
     odom_m: Float64
     path_m: float
+    turned_rad: float
     heading_rad: float
     yaw_map_odom_rad: float
     yaw_variance: float
@@ -335,13 +336,14 @@ class OdometrySeparation:
         heading, last = yaw_of(state.T_map_body), self._rows.newest
         height_m = float((fix.p_map_m - base_m)[2])
         tilt_m = math.hypot(self._config.tilt_m, height_m * math.sqrt(float(np.max(np.diag(state.covariance)[:2]))))
-        odom_m, path_m = T_odom_base[:2, 3].copy(), 0.0
+        odom_m, path_m, turned = T_odom_base[:2, 3].copy(), 0.0, 0.0
         if last is not None:
             heading = last.heading_rad + wrap(heading - last.heading_rad)
             path_m = last.path_m + math.dist(odom_m, last.odom_m)
+            turned = last.turned_rad + abs(heading - last.heading_rad)
         row = _Keyframe(
             state.stamp_ns, base_m[:2], _sigma_m(fix), tilt_m, state.velocity_mps[:2], self._columns,
-            odom_m, path_m, heading, yaw_of(T_map_odom),
+            odom_m, path_m, turned, heading, yaw_of(T_map_odom),
             float(state.covariance[2, 2]) + heading_slow**2 + late_rad**2, float(state.sigmas[14]), state.slip,
             state.sigmas[15:19],
         )  # fmt: skip
@@ -420,7 +422,7 @@ class OdometrySeparation:
         turned_m = self._stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
         white = first.sigma_m**2 + last.sigma_m**2 + turned_m**2 + first.tilt_m**2
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
-        white += (cfg.gyro_scale * turned * 0.5 * (last.path_m - first.path_m)) ** 2
+        white += (cfg.gyro_scale * (last.turned_rad - first.turned_rad) * 0.5 * (last.path_m - first.path_m)) ** 2
         return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
 
 
