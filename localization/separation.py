@@ -9,7 +9,7 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -262,6 +262,15 @@ class LidarPath:
         return np.asarray((1.0 - share) * self._rows[k - 1] + share * self._rows[k])
 
 
+@dataclass(frozen=True)
+class _Course:
+    """Angle and its variance, as known from a time on."""
+
+    stamp_ns: int
+    angle_rad: float
+    variance: float
+
+
 class CourseOffset:
     """Angle by which lidar odometry is turned against the positions: mounts of lidar and antennas in yaw.
 
@@ -270,35 +279,29 @@ class CourseOffset:
 
     def __init__(self, config: SeparationConfig) -> None:
         self._walk = math.radians(config.course_walk_deg) ** 2
-        self._stamps: deque[int] = deque()
-        self._values: deque[tuple[float, float]] = deque()
-        self._prior = 0.0, math.radians(config.course_deg) ** 2
+        self._rows: _Rows[_Course] = _Rows()
+        self._prior = _Course(0, 0.0, math.radians(config.course_deg) ** 2)
 
     def clear(self) -> None:
         """Drops what is known of times; the newest angle remains, as well known as mounts are without a drive."""
-        newest = self._values[-1][0] if self._values else 0.0
-        self._stamps.clear()
-        self._values.clear()
-        self._prior = newest, self._prior[1]
+        newest = self._rows.newest or self._prior
+        self._rows.clear()
+        self._prior = replace(self._prior, angle_rad=newest.angle_rad)
 
-    def at(self, stamp_ns: int) -> tuple[float, float]:
-        """Angle (rad) and variance as known at a time."""
-        k = bisect_right(self._stamps, stamp_ns)
-        return self._values[k - 1] if k else self._prior
+    def at(self, stamp_ns: int) -> _Course:
+        """What is known at a time."""
+        return self._rows.at(stamp_ns) or self._prior
 
     def learn(self, stamp_ns: int, angle_rad: float, variance: float) -> None:
         """Takes the angle of a straight part of the path; one that contradicts the others is not used."""
-        angle, known = self._values[-1] if self._values else self._prior
-        if self._stamps:
-            known = min(known + self._walk * (stamp_ns - self._stamps[-1]) * 1e-9, self._prior[1])
+        newest = self._rows.newest
+        angle, known = (newest or self._prior).angle_rad, (newest or self._prior).variance
+        if newest is not None:
+            known = min(known + self._walk * (stamp_ns - newest.stamp_ns) * 1e-9, self._prior.variance)
         total, off = known + variance, angle_rad - angle
         if off * off <= COURSE_GATE**2 * total:
             angle, known = angle + known / total * off, known * variance / total
-        self._stamps.append(stamp_ns)
-        self._values.append((angle, known))
-        while self._stamps[-1] - self._stamps[0] > KEEP_S * 1e9:
-            self._stamps.popleft()
-            self._values.popleft()
+        self._rows.add(_Course(stamp_ns, angle, known))
 
 
 class OdometrySeparation:
@@ -363,7 +366,7 @@ class OdometrySeparation:
             return
         moved_m, variance = found
         d_m, path2 = last.p_map_m - first.p_map_m - moved_m, float(moved_m @ moved_m)
-        across = np.array([-moved_m[1], moved_m[0]])
+        across = _across(moved_m)
         covariance = variance * np.eye(2) + self._common(first, last, moved_m)
         self._course.learn(last.stamp_ns, float(across @ d_m) / path2, float(across @ covariance @ across) / path2**2)
 
@@ -402,13 +405,13 @@ class OdometrySeparation:
         first, last = self._rows.at(stamp_ns), self._rows.at(self.lidar.last_ns)
         if newest is None or first is None or last is None or last.stamp_ns <= first.stamp_ns:
             return None
-        course_rad, course_variance = self._course.at(first.stamp_ns)
-        found = self._by_lidar(first, last, course_rad)
+        course = self._course.at(first.stamp_ns)
+        found = self._by_lidar(first, last, course.angle_rad)
         if found is None or newest.stamp_ns - last.stamp_ns > SCANS_S * 1e9:
             return None
         moved_m, white = found
-        across = np.array([-moved_m[1], moved_m[0]])
-        covariance = white * np.eye(2) + course_variance * np.outer(across, across)
+        across = _across(moved_m)
+        covariance = white * np.eye(2) + course.variance * np.outer(across, across)
         covariance += self._common(first, last, moved_m)
         age_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         return Separation(age_s, last.p_map_m - first.p_map_m - moved_m, covariance, np.zeros(2))
@@ -416,7 +419,7 @@ class OdometrySeparation:
     def _common(self, first: _Keyframe, last: _Keyframe, moved_m: Float64) -> Float64:
         """Covariance (2, 2) by fixes, gyro and mounting, whatever measures the path `moved_m` (2,)."""
         cfg, age_s = self._config, (last.stamp_ns - first.stamp_ns) * 1e-9
-        across = np.array([-moved_m[1], moved_m[0]])
+        across = _across(moved_m)
         turned = last.heading_rad - first.heading_rad
         yaw = first.yaw_variance + self._gyro**2 * age_s / 3.0 + (first.gyro_sigma_radps * age_s) ** 2 / 3.0
         turned_m = self._stamp_s * float(np.linalg.norm(last.velocity_mps - first.velocity_mps))
@@ -424,6 +427,10 @@ class OdometrySeparation:
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
         white += (cfg.gyro_scale * (last.turned_rad - first.turned_rad) * 0.5 * (last.path_m - first.path_m)) ** 2
         return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
+
+
+def _across(moved_m: Float64) -> Float64:
+    return np.array([-moved_m[1], moved_m[0]])
 
 
 def _turn(yaw_rad: float) -> Float64:

@@ -44,13 +44,13 @@ def evaluate(situation: Situation, limits: LocalizationLimits) -> RuleResult:
     if situation.is_under_roof and not pose.uwb_age_s <= docking.max_uwb_age_s:
         return stop(UWB_LOST, f"no UWB range for {pose.uwb_age_s:.1f} s in the shed")
     stop_m = docking.protection_stop_m if situation.is_under_roof else limits.protection_stop_m
+    text = f"position only within {pose.protection_level_m:.2f} m"
     if not pose.protection_level_m <= stop_m:
-        text = f"position only within {pose.protection_level_m:.2f} m"
         is_lasting = not situation.vehicle.lasting_level_m <= stop_m
         return stop(PROTECTION, text) if is_lasting else limit(CODE, 0.0, text)
     if pose.protection_level_m > limits.protection_slow_m:
         reduced_mps = kmh(situation.config.limits.reduced_kmh)
-        return limit(CODE, reduced_mps, f"position only within {pose.protection_level_m:.2f} m")
+        return limit(CODE, reduced_mps, text)
     is_by_uwb = situation.is_under_roof or pose.source is PositionSource.UWB
     if pose.gnss_age_s > limits.gnss_alarm_s and not is_by_uwb:
         return advisory(GNSS_LOST, _without_fix(pose.gnss_age_s))
