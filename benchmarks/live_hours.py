@@ -20,21 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.page import Machine, Page, log_in, machine_in
+from benchmarks.page import Machine, Page, log_in, machine_in, memory_mb
 from messages.command import Mode
-from tests.hmi.planned import geojson
+from tests.hmi.planned import geojson, square_field
 
 WARM_S, PERIOD_S = 1200.0, 10.0
 MAX_MB_PER_H, MAX_GB_PER_H, LEAST_AUTOMATIC = 5.0, 0.5, 0.8
 IMPLEMENT = "harrow_12m"
-KINDS = ("VmRSS", "RssAnon")
-
-
-def memory_mb(pid: int) -> list[float]:
-    """Resident memory of a process, in all and anonymous."""
-    lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
-    found = {line[0].rstrip(":"): float(line[1]) for line in lines if len(line) > 1 and line[0].rstrip(":") in KINDS}
-    return [found[kind] * 1024 / 1e6 for kind in KINDS]
 
 
 def size_mb(folder: Path, pattern: str) -> float:
@@ -51,10 +43,10 @@ def growth(samples: list[tuple[float, list[list[float]]]], process: slice) -> li
     """Growth of processes in all and anonymous, MB/h, after the warm-up."""
     late = [(seconds, memory) for seconds, memory in samples if seconds >= WARM_S]
     if len(late) < 3:
-        return [float("nan")] * len(KINDS)
+        return [float("nan")] * 2
     hours = np.array([seconds for seconds, _ in late]) / 3600.0
     used = np.array([memory for _, memory in late])[:, process].sum(axis=1)
-    return [round(float(np.polyfit(hours, used[:, kind], 1)[0]), 2) for kind in range(len(KINDS))]
+    return [round(float(np.polyfit(hours, used[:, kind], 1)[0]), 2) for kind in range(2)]
 
 
 async def hours(machine: Machine, folder: Path, duration_s: float, pause_s: float) -> dict[str, object]:
@@ -116,10 +108,7 @@ def main() -> int:
     arguments = parser.parse_args()
     folder = arguments.out or Path(tempfile.mkdtemp(prefix="live-"))
     folder.mkdir(parents=True, exist_ok=True)
-    degrees = arguments.side_m / 111_200.0
-    x, y = degrees / np.cos(np.radians(48.0)), degrees
-    square = ((0.0, 0.0), (x, 0.0), (x, y), (0.0, y), (0.0, 0.0))
-    (folder / "field.geojson").write_bytes(geojson(square, "square"))
+    (folder / "field.geojson").write_bytes(geojson(square_field(arguments.side_m), "square"))
     given = ("--live", "--field", str(folder / "field.geojson"), "--implement", IMPLEMENT)
     with machine_in(folder, *given) as machine:
         result = asyncio.run(hours(machine, folder, arguments.hours * 3600.0, arguments.pause_s))

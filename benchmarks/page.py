@@ -38,15 +38,8 @@ from runtime.live.ring import RingReader
 from runtime.live.ring_folder import RINGS_PREFIX
 from runtime.live.serialization import topic_of, unpack
 from runtime.run_folder import ROOT
+from tests.hmi.planned import row_mission
 
-ROW = """
-name: row
-site: demo
-machine: tractor_e
-implement: harrow_6m
-start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
-line: {speed_kmh: 1, legs: [{length_m: 52.0, is_working: true}]}
-"""
 COMMAND = ("--scenario", "empty", "--port", "0", "--stop-port", "0", "--state", "state")
 WAIT_S = 120.0
 PRESENT_S, AGAIN_S = 1.0, 5.0
@@ -249,9 +242,9 @@ async def under_load(machine: Machine, seconds: float, clients: int) -> dict[str
     for page in pages[1:]:
         await page.close()
     silent = await silent_client(machine, cookie)
-    before_mb = resident_mb(machine.process.pid)
+    before_mb = memory_mb(machine.process.pid)[0]
     rows["slow_client"] = await watched(machine, seconds, pages[0])
-    rows["slow_client"]["resident_mb_more"] = round(resident_mb(machine.process.pid) - before_mb, 1)
+    rows["slow_client"]["resident_mb_more"] = round(memory_mb(machine.process.pid)[0] - before_mb, 1)
     silent.close()
     await pages[0].close()
     return rows
@@ -279,9 +272,11 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
-def resident_mb(pid: int) -> float:
-    """Resident memory."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+def memory_mb(pid: int) -> list[float]:
+    """Resident memory of a process, in all and anonymous, which is without shared rings and files."""
+    lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    found = {line[0].rstrip(":"): float(line[1]) for line in lines if line[:1] in (["VmRSS:"], ["RssAnon:"])}
+    return [found[kind] * 1024 / 1e6 for kind in ("VmRSS", "RssAnon")]
 
 
 def descendants(pid: int) -> list[int]:
@@ -345,7 +340,7 @@ def main() -> int:
     top = arguments.out or Path(tempfile.mkdtemp(prefix="page-"))
     top.mkdir(parents=True, exist_ok=True)
     is_right = True
-    (top / "row.yaml").write_text(ROW, encoding="utf-8")
+    (top / "row.yaml").write_text(row_mission(1), encoding="utf-8")
     with machine_in(top, "--mission", "row.yaml", *(["--live"] if arguments.live else [])) as machine:
         rows = asyncio.run(under_load(machine, arguments.seconds, arguments.clients))
         for name, row in rows.items():

@@ -18,17 +18,9 @@ import numpy as np
 
 from hmi.view import VIEWS
 from tests.hmi.browser import SIZES, Browser, PageProcess, add_user, chromium, log_in, page_process, view, wait_for
-from tests.hmi.planned import geojson
+from tests.hmi.planned import geojson, row_mission
 
 PASSWORD = "correct horse"
-ROW = """
-name: row
-site: demo
-machine: tractor_e
-implement: harrow_6m
-start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
-line: {speed_kmh: 2, legs: [{length_m: 52.0, is_working: true}]}
-"""
 LANGUAGES = {"en": "en-US", "zh": "zh-CN"}
 DRIVEN = r"^1\d\D"  # m, when the pictures of the drive are taken
 SETTLED_MS, PATIENCE_MS = 1500.0, 300_000.0
@@ -83,7 +75,7 @@ def main() -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "row.yaml").write_text(ROW, encoding="utf-8")
+        (folder / "row.yaml").write_text(row_mission(2), encoding="utf-8")
         (folder / "field.geojson").write_bytes(geojson())
         add_user(folder, "anna:setup", PASSWORD)
         words = ("--mission", str(folder / "row.yaml"), "--scenario", "empty", "--stop-port", "0")

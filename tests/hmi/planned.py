@@ -12,6 +12,14 @@ from hmi.plan_view.options import default_options, default_work, write_mission
 
 PLANNER = (sys.executable, "-m", "runtime.page.field_process")
 L_SHAPE = ((0.0, 0.0), (0.0012, 0.0), (0.0012, 0.0009), (0.0006, 0.0009), (0.0006, 0.0005), (0.0, 0.0005), (0.0, 0.0))
+ROW = """
+name: row
+site: demo
+machine: tractor_e
+implement: harrow_6m
+start: {{x_m: 14.0, y_m: 25.0, heading_deg: 0.0}}
+line: {{speed_kmh: {:g}, legs: [{{length_m: 52.0, is_working: true}}]}}
+"""
 DEGREE_M = 111_200.0  # of latitude
 RESULT = {
     "length_m": 5.0, "time_s": 60.0, "planned_share": 0.97, "least_share": 0.95, "field_m2": 1e4, "swaths": 4,
@@ -43,9 +51,22 @@ else:
 FAKE_PLANNER = (sys.executable, "-c", f"PLAN = {RESULT!r}\n{FAKE}")
 
 
+def row_mission(speed_kmh: float) -> str:
+    """Mission of one row of 52 m in the field of the demo."""
+    return ROW.format(speed_kmh)
+
+
 def corner_field(side_m: float) -> tuple[tuple[float, float], ...]:
     """A square without one of its quarters, as corners for `geojson`."""
-    corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.0, 0.5), (0.0, 0.0))
+    return _corners(side_m, ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.0, 0.5), (0.0, 0.0)))
+
+
+def square_field(side_m: float) -> tuple[tuple[float, float], ...]:
+    """A square, as corners for `geojson`."""
+    return _corners(side_m, ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)))
+
+
+def _corners(side_m: float, corners: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
     size, shrinks = side_m / DEGREE_M, math.cos(math.radians(48.0))
     return tuple((size / shrinks * x, size * y) for x, y in corners)
 

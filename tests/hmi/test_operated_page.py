@@ -12,19 +12,12 @@ import pytest
 from benchmarks.page import descendants, is_running
 from tests.hmi.accessibility import low_contrasts, small_targets
 from tests.hmi.browser import Browser, PageProcess, add_user, log_in, needs_browser, page_process, row, wait_for
+from tests.hmi.planned import row_mission
 
 pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.drive]
 PASSWORD = "correct horse"
 SHOWN_SHIFT = """
 shown => new RegExp(shown).test(document.querySelector("#rows-work [data-key=shift] dd")?.textContent || "")
-"""
-ROW = """
-name: row
-site: demo
-machine: tractor_e
-implement: harrow_6m
-start: {x_m: 14.0, y_m: 25.0, heading_deg: 0.0}
-line: {speed_kmh: 1.5, legs: [{length_m: 52.0, is_working: true}]}
 """
 
 
@@ -33,7 +26,7 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("page")
     for user in ("anna:operate", "bo:operate", "cem:view"):
         add_user(folder, user, PASSWORD)
-    (folder / "row.yaml").write_text(ROW, encoding="utf-8")
+    (folder / "row.yaml").write_text(row_mission(1.5), encoding="utf-8")
     mission = ("--mission", str(folder / "row.yaml"), "--scenario", "empty", "--stop-port", "0")
     with page_process(folder, *mission) as found:
         assert found.password == ""  # users are set up
