@@ -9,7 +9,7 @@ from nicegui.client import Client
 
 from hmi.access import Session
 from hmi.drive_view.controls import CONTROLS, NUDGES
-from hmi.drive_view.map_view import static_map
+from hmi.drive_view.map_view import path_map, static_map
 from hmi.orders import SentOrder, outcome
 from hmi.page_state import PageState
 from hmi.parts import Moment, PageParts
@@ -38,6 +38,7 @@ class DrivePage(View):
         self._replay = None if playback is None else ReplayBar(playback, texts)
         self._state: PageState | None = None
         self._sent_points = (0, 0)
+        self._sent_paths = 0
         self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
         self._order: SentOrder | None = None
         self._answer_s = 0.0
@@ -66,8 +67,10 @@ class DrivePage(View):
                 sections[f"rows.{name}" if name in ROWS else name] = value
         news: dict[str, Any] = {}
         if moment.is_restarted or state is not self._state:
-            self._state, self._sent_points = state, (0, 0)
-            news = {"clear": True, "still": static_map(state.scene)}
+            self._state, self._sent_points, self._sent_paths = state, (0, 0), 0
+            news = {"clear": True, "still": static_map(state.scene), "paths": []}
+        if state.paths_taken != self._sent_paths:  # a path has tens of thousands of points: not in every update
+            self._sent_paths, news["paths"] = state.paths_taken, path_map(state)
         sections["texts"] = {"interrupted": self._interrupted()}
         self.send(moment, sections, news | self._new_points(state))
         if not self.why_barred:

@@ -33,6 +33,7 @@ class PageState:
         self.now_ns = 0
         self.faults: dict[tuple[str, str], Fault] = {}
         self.paths: dict[int, Path] = {}
+        self.paths_taken = 0
         self.trail = Trail()
         self.coverage = Coverage(scene.field, scene.implement.working_width_m, scene.working_point_m, cell_m)
         self.engaged_s = 0.0  # time in modes of automatic operation
@@ -55,6 +56,7 @@ class PageState:
                 self._take_fault(message)
             elif isinstance(message, Path):
                 self.paths[message.path_id] = message
+                self.paths_taken += 1
             elif isinstance(message, Odometry):
                 self._take_motion(message)
             elif isinstance(message, SupervisorState):

@@ -7,7 +7,7 @@ from typing import Any
 from hmi.drive_view.alarms import alarm_rows
 from hmi.drive_view.controls import unavailable
 from hmi.drive_view.machine import machine_rows
-from hmi.drive_view.map_view import moving_map, path_map
+from hmi.drive_view.map_view import moving_map
 from hmi.drive_view.motion import deviation, motion_rows, work_rows
 from hmi.drive_view.position import position_rows
 from hmi.drive_view.row import Row
@@ -37,7 +37,6 @@ def shown_of(state: PageState, texts: Texts, rule_text_zh: RuleText, playback: P
     shown["state"] = [now.mode, now.level, now.cause, now.next_step, now.symbol]
     shown["bar"] = None if control is None else round(100.0 * control.xte_m, 1)
     shown["map"] = moving_map(state, texts)
-    shown["paths"] = path_map(state)
     shown["unavailable"] = unavailable(state, texts)
     if playback is not None:
         shown["replay"] = [_clock(playback.position_s), _clock(playback.length_s), playback.is_paused, playback.rate]
