@@ -5,6 +5,7 @@ import secrets
 import select
 import socket
 import struct
+import time
 from collections.abc import Callable
 
 import can
@@ -89,6 +90,38 @@ class LoopbackBus(can.BusABC):
     def _close(self) -> None:
         self._receiver.close()
         self._sender.close()
+
+
+class PunctualBus(can.BusABC):
+    """Bus for a simulated machine that may be late: it receives a frame once its time is that of the arrival.
+
+    `until_s` is the time of the machine, as of `time.time()`.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.channel_info = bus.channel_info
+        self.until_s = 0.0
+        self._bus = bus
+        self._next: can.Message | None = None
+        super().__init__(bus.channel_info)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Sends one frame; raises CanError."""
+        self._bus.send(msg, timeout)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Next frame that has arrived by `until_s`, or None; one from the future, after a step of the clock, is due."""
+        if self._next is None:
+            self._next = self._bus.recv(0)
+        if self._next is None or self.until_s < self._next.timestamp <= time.time():
+            return None
+        found, self._next = self._next, None
+        return found
+
+    def shutdown(self) -> None:
+        """Closes the bus."""
+        super().shutdown()
+        self._bus.shutdown()
 
 
 def message_of(data: bytes, time_s: float) -> can.Message:

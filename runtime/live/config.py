@@ -17,6 +17,7 @@ class LiveConfig(Config):
     ring_mib: dict[str, Annotated[int, Field(ge=1, le=1024)]]
     timeout_s: dict[str, Seconds]
     startup_s: Seconds
+    first_beat_s: Seconds
     nice: dict[str, Annotated[int, Field(ge=-20, le=19)]] = Field(
         description="nice values of processes, added to that of the start; those below 0 need root or CAP_SYS_NICE"
     )

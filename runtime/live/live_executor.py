@@ -33,11 +33,15 @@ class NoWorld(World):
 
 @dataclass(frozen=True)
 class ProcessLinks:
-    """Rings that join a process to the others: its own, the others by name, and their heartbeat timeouts."""
+    """Rings that join a process to the others: its own, the others by name, and the timeouts of their heartbeats.
+
+    `first_beat_s`: timeout of the first heartbeat; until then no node of that process has published, and nothing moves.
+    """
 
     ring: RingWriter
     others: Mapping[str, RingReader]
     timeout_s: Mapping[str, float]
+    first_beat_s: float
 
 
 class LiveExecutor(Executor):
@@ -119,8 +123,10 @@ class LiveExecutor(Executor):
     def _check_heartbeats(self) -> None:
         """Reports a fault with a stop for each process whose heartbeat timed out."""
         for name, limit_s in self._links.timeout_s.items():
-            silent_s = (self.now_ns - max(self._links.others[name].beat_ns, self._started_ns)) * 1e-9
-            if silent_s > limit_s and name not in self._timed_out:
+            beat_ns = self._links.others[name].beat_ns
+            has_begun = beat_ns >= self._started_ns
+            silent_s = (self.now_ns - max(beat_ns, self._started_ns)) * 1e-9
+            if silent_s > (limit_s if has_begun else self._links.first_beat_s) and name not in self._timed_out:
                 self._timed_out.add(name)
                 self._deliver([(FAULT_TOPIC, process_fault(self.now_ns, name, silent_s))])
 

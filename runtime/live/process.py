@@ -5,8 +5,9 @@ import os
 import secrets
 import signal
 import sys
+import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.synchronize import Barrier
@@ -16,9 +17,9 @@ from typing import Any
 from datasets.log import LogWriter
 from interfaces.orders.port import OrderPort
 from messages.errors import HeadlandError, LogError
-from messages.node import Node, World
+from messages.node import Node, Output, World
 from runtime import assembly
-from runtime.live.can_bus import open_bus
+from runtime.live.can_bus import PunctualBus, open_bus
 from runtime.live.clock import Clock
 from runtime.live.config import LiveConfig
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
@@ -54,6 +55,10 @@ class Start:
     zero_ns: Any
     parent: int
 
+    def clock(self) -> Clock:
+        """Clock of all processes, once the parent has set `zero_ns`."""
+        return Clock(self.setup.stack.simulation.start_stamp_ns, self.zero_ns.value)
+
 
 def run_process(start: Start) -> None:
     """Runs one process until SIGTERM; errors go to standard error."""
@@ -73,7 +78,7 @@ def _run(start: Start) -> None:
     timeouts = start.config.timeout_s if start.role == "safety" else {}
     with suppress(PermissionError):
         os.nice(start.config.nice.get(start.role, 0))
-    links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts)
+    links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts, start.config.first_beat_s)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()
         gc.freeze()  # a full garbage collection takes 0.1 s
@@ -82,8 +87,7 @@ def _run(start: Start) -> None:
         end_with_parent(start.parent, signal.SIGTERM)  # closes its files
         start.barrier.wait(start.config.startup_s)
         start.barrier.wait(start.config.startup_s)
-        clock = Clock(start.setup.stack.simulation.start_stamp_ns, start.zero_ns.value)
-        executor = LiveExecutor(world, nodes, sinks, clock, links, reads_all=start.role == "log")
+        executor = LiveExecutor(world, nodes, sinks, start.clock(), links, reads_all=start.role == "log")
         try:
             executor.run(lambda: bool(stop_signals))
         except LogError as error:
@@ -128,9 +132,28 @@ def _stack_nodes(start: Start) -> list[Node]:
 @contextmanager
 def _machine(start: Start) -> Iterator[World]:
     bus = open_bus(start.bus)
-    with closing(assembly.simulated_world(start.setup, start.scenario, bus, Rendering.LATE)) as world:
+    punctual = PunctualBus(bus)
+    with closing(assembly.simulated_world(start.setup, start.scenario, punctual, Rendering.LATE)) as world:
         build_actor_surfaces()
-        yield ReactionTrials(world, bus, start) if start.reaction_trials else world
+        yield LateWorld(ReactionTrials(world, bus, start) if start.reaction_trials else world, punctual, start)
+
+
+class LateWorld(World):
+    """Simulated world that a scan makes late; its machine receives each frame at the time at which it arrived."""
+
+    def __init__(self, world: World, bus: PunctualBus, start: Start) -> None:
+        self.writes = world.writes
+        self._world, self._bus, self._start = world, bus, start
+
+    def next_ns(self) -> int | None:
+        """Time of the next step of the world."""
+        return self._world.next_ns()
+
+    def step(self, now_ns: int) -> Iterable[Output]:
+        """Steps the world, with the frames up to its own time."""
+        late_s = (self._start.clock()() - now_ns) * 1e-9
+        self._bus.until_s = time.time() - late_s
+        return self._world.step(now_ns)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import can
 import numpy as np
@@ -18,7 +19,7 @@ from messages.message import Envelope
 from messages.node import Every, Latest, Node
 from messages.sensors import LidarScan, WheelSample
 from messages.timing import NodeTiming
-from runtime.live.can_bus import LOOPBACK, named_bus, open_bus
+from runtime.live.can_bus import LOOPBACK, PunctualBus, named_bus, open_bus
 from runtime.live.clock import Clock
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
 from runtime.live.ring import RingReader, RingWriter, make_ring
@@ -102,7 +103,7 @@ def test_message_exchange_and_heartbeat_timeout(tmp_path: Path) -> None:
         make_ring(tmp_path / name, 65536)
     clock = Clock(1_000_000_000_000, time.monotonic_ns())
     other = RingWriter(tmp_path / "other")
-    links = ProcessLinks(RingWriter(tmp_path / "own"), {"other": RingReader(tmp_path / "other")}, {"other": 0.1})
+    links = ProcessLinks(RingWriter(tmp_path / "own"), {"other": RingReader(tmp_path / "other")}, {"other": 0.1}, 0.1)
     node, received = WheelReader(), list[Envelope]()
     executor = LiveExecutor(NoWorld(), [node], [received.append], clock, links)
     outside = RingReader(tmp_path / "own")
@@ -120,6 +121,25 @@ def test_message_exchange_and_heartbeat_timeout(tmp_path: Path) -> None:
     assert isinstance(timing, NodeTiming)
     assert 2 <= timing.steps <= 240  # it is due every 5 ms, and skips what it was late for
     assert 0.0 < timing.mean_s <= timing.longest_s < 1.3
+
+
+def test_process_has_longer_for_its_first_heartbeat(tmp_path: Path) -> None:
+    for name in ("own", "late", "never"):
+        make_ring(tmp_path / name, 65536)
+    clock = Clock(1_000_000_000_000, time.monotonic_ns())
+    others = {name: RingReader(tmp_path / name) for name in ("late", "never")}
+    links = ProcessLinks(RingWriter(tmp_path / "own"), others, {"late": 0.1, "never": 0.1}, 0.5)
+    received, late = list[Envelope](), RingWriter(tmp_path / "late")
+    executor = LiveExecutor(NoWorld(), [], [received.append], clock, links)
+    began_ns = clock()
+
+    def beats() -> bool:
+        if clock() - began_ns > 300_000_000:
+            late.beat(clock())
+        return clock() - began_ns > 800_000_000
+
+    executor.run(beats)
+    assert [e.message.source for e in received if isinstance(e.message, Fault)] == ["never"]
 
 
 def frame(k: int) -> can.Message:
@@ -143,6 +163,27 @@ def test_loopback_bus_receives_frames_of_others_only(pair: tuple[can.BusABC, can
     assert all(f and abs(f.timestamp - time.time()) < 1.0 for f in received)
     assert own.recv(0.01) is None
     assert [(f.arbitration_id, bytes(f.data)) for f in [other.recv(0.2)] if f] == [(0x0CFE48F0, bytes([1] * 8))]
+
+
+def test_late_machine_receives_a_frame_at_its_arrival(pair: tuple[can.BusABC, can.BusABC]) -> None:
+    bus = PunctualBus(pair[0])
+    bus.until_s = time.time()
+    pair[1].send(frame(1))
+    time.sleep(0.02)
+    between_s = time.time()
+    pair[1].send(frame(2))
+    time.sleep(0.02)
+    assert bus.recv(0) is None
+    bus.until_s = between_s
+    assert [bus.recv(0) is None for _ in range(2)] == [False, True]
+    bus.until_s = time.time()
+    received = bus.recv(0)
+    assert received is not None
+    assert received.data[0] == 2
+    with patch("runtime.live.can_bus.time.time", return_value=between_s - 100.0):  # the wall clock has been set back
+        pair[1].send(frame(3))
+        time.sleep(0.02)
+        assert bus.recv(0) is not None
 
 
 @pytest.mark.parametrize("data", [b"", b"junk", bytes(15), b"\xff" * 16, bytes(17), bytes(5000)])
