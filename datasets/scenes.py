@@ -16,6 +16,7 @@ from datasets.importers.recording import CameraCalibration
 from datasets.plots import PlottedEvent
 from datasets.primitives import Rgba, cube, frame, line, scene, text, time_of
 from geometry.arrays import Float32, Float64
+from geometry.polyline import simplified
 from geometry.transforms import apply, planar
 from messages.command import SupervisorState
 from messages.faults import Fault, Severity
@@ -38,7 +39,6 @@ CLASS_COLORS: dict[ObstacleClass, Rgba] = {
 }
 MAX_TRIGGERING_POINTS = 60
 # Path points have 0.1 m spacing; 0.5 m is shown.
-PATH_STEP = 5
 BAY_MARK_M = 3.0
 ARC_POINTS = 7
 T_BODY_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -181,9 +181,7 @@ def field_scene(stamp_ns: int, state: SupervisorState, height_m: float) -> Scene
 
 def path_scene(stamp_ns: int, path: Path) -> SceneUpdate:
     """The path to drive."""
-    keep = np.unique(np.append(np.arange(0, len(path.p_map_m), PATH_STEP), max(len(path.p_map_m) - 1, 0)))
-    points: Float64 = path.p_map_m[keep] if len(path.p_map_m) else path.p_map_m
-    return scene(stamp_ns, "path", "map", lines=[line(points, 0.1, YELLOW)])
+    return scene(stamp_ns, "path", "map", lines=[line(simplified(path.p_map_m), 0.1, YELLOW)])
 
 
 def calibration(stamp_ns: int, frame_id: str, camera: Camera | CameraCalibration) -> CalibrationMessage:

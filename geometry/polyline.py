@@ -2,8 +2,11 @@
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from geometry.arrays import Float64
+
+SHOWN_ERROR_M = 0.02  # of a line in a picture
 
 
 def arc_length(points_m: Float64) -> Float64:
@@ -27,6 +30,14 @@ def at_length(points_m: Float64, s_m: Float64) -> Float64:
     """Points (M, 2) at the arc lengths `s_m` (M,)."""
     s = arc_length(points_m)
     return np.column_stack([np.interp(s_m, s, points_m[:, 0]), np.interp(s_m, s, points_m[:, 1])])
+
+
+def simplified(points_m: Float64, error_m: float = SHOWN_ERROR_M) -> Float64:
+    """Points (M, 2) of the polyline, first and last among them, so few that no point is further than `error_m` off."""
+    if len(points_m) < 3:
+        return points_m
+    line = shapely.simplify(shapely.linestrings(points_m), error_m, preserve_topology=False)
+    return np.asarray(shapely.get_coordinates(line), np.float64)
 
 
 def without_repeats(points_m: Float64, min_step_m: float = 1e-6) -> Float64:

@@ -57,6 +57,8 @@ class ModeMachine:
             self.latched = decision.fault if self.mode in LATCHING and decision.is_fault else None
         if self.mode is not before:
             self._enter(before, situation, decision)
+        if self.mode is Mode.STANDBY and (before in LATCHING or Event.RESET in permitted):
+            self.fault_memory.reset()
 
     def _observed(self, situation: Situation, decision: Decision, mission: MissionStatus | None) -> frozenset[Event]:
         """Events other than operator commands."""
@@ -101,8 +103,6 @@ class ModeMachine:
         if self.mode is Mode.START_WARNING and not is_resuming:
             self._needs_confirmation = False
             self._orders.forget_confirmation()
-        if before in LATCHING and self.mode is Mode.STANDBY:
-            self.fault_memory.reset()
         self._orders.forget_start()
 
     @property

@@ -6,6 +6,7 @@ import numpy as np
 
 from configs.vehicle import outlines
 from geometry.arrays import Float64
+from geometry.polyline import simplified
 from geometry.pose2 import Pose2, to_frame
 from hmi.drive_view.row import number
 from hmi.drive_view.sensing import near_tracks
@@ -15,7 +16,6 @@ from hmi.texts import Texts
 from messages.command import MachineState, SupervisorState
 from messages.motion import MapPose
 
-PATH_STEP = 5  # points are 0.1 m apart
 MAX_POINTS = 60
 
 
@@ -54,7 +54,7 @@ def moving_map(state: PageState, texts: Texts) -> dict[str, Any]:
 
 def path_map(state: PageState) -> list[list[list[float]]]:
     """The paths published so far."""
-    return [_listed(path.p_map_m[::PATH_STEP]) for path in state.paths.values()]
+    return [_listed(simplified(path.p_map_m)) for path in state.paths.values()]
 
 
 def _tracks(state: PageState, pose: Pose2, texts: Texts) -> list[dict[str, Any]]:

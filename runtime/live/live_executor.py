@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from messages.faults import Fault
 from messages.node import Node, On, Output, World
@@ -121,14 +121,16 @@ class LiveExecutor(Executor):
         super()._deliver(outputs)
 
     def _check_heartbeats(self) -> None:
-        """Reports a fault with a stop for each process whose heartbeat timed out."""
+        """Reports a fault with a stop for each process whose heartbeat timed out, and its end."""
         for name, limit_s in self._links.timeout_s.items():
             beat_ns = self._links.others[name].beat_ns
             has_begun = beat_ns >= self._started_ns
             silent_s = (self.now_ns - max(beat_ns, self._started_ns)) * 1e-9
-            if silent_s > (limit_s if has_begun else self._links.first_beat_s) and name not in self._timed_out:
-                self._timed_out.add(name)
-                self._deliver([(FAULT_TOPIC, process_fault(self.now_ns, name, silent_s))])
+            is_silent = silent_s > (limit_s if has_begun else self._links.first_beat_s)
+            if is_silent != (name in self._timed_out):
+                self._timed_out ^= {name}
+                fault = process_fault(self.now_ns, name, silent_s)
+                self._deliver([(FAULT_TOPIC, replace(fault, is_active=is_silent))])
 
     def _sleep(self) -> None:
         """Sleeps until the next step may be due, at most POLL_S."""

@@ -14,10 +14,10 @@ import sys
 from typing import Any
 
 import numpy as np
-import shapely
 
 from configs.mission import Mission
 from geometry.arrays import Float64
+from geometry.polyline import simplified
 from hmi.drive_view.map_view import static_map
 from hmi.plan_view.mission_store import MISSION, PLAN, SEED, field_of
 from hmi.plan_view.plan_result import PlanResult, write_result
@@ -35,7 +35,6 @@ from runtime.processes import PARENT, end_with_parent
 MEMORY_BYTES = 6 << 30  # of addresses; compressed files may hold far more than their size
 NICE = 10  # a machine that drives on this computer goes first
 MAX_FEATURES = 200
-PATH_M = 0.05  # deviation of a shown line from the path
 MIN_MPS = 0.05
 LINE_M = 2000.0  # drawn to both sides of the point of a guidance line
 
@@ -169,8 +168,7 @@ def sections_of(plan: Plan) -> list[list[Any]]:
         for section in path.sections:
             points = path.p_map_m[section.first : section.last + 2]
             if len(points) > 1:
-                line = shapely.LineString(points).simplify(PATH_M)
-                found.append([str(section.section_type), _listed(np.array(line.coords))])
+                found.append([str(section.section_type), _listed(simplified(points))])
     return found
 
 

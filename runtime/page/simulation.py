@@ -8,6 +8,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from geometry.arrays import Float64
+from geometry.polyline import simplified
 from hmi.plan_view.progress import Progress, StoredDrive
 from interfaces.orders.config import OrderKey
 from interfaces.orders.port import OrderPort
@@ -74,7 +75,7 @@ def _drive(
     setup = replace(setup, stack=with_order_key(setup.stack, "page", key), session=session)
     scenario = load_scenario(arguments.scenario, setup.mission, arguments.field, arguments.plant)
     scenario = scenario.model_copy(update={"operator_commands": ()})
-    planned = tuple(path.p_map_m[::5] for path in setup.plan.paths)
+    planned = tuple(simplified(path.p_map_m) for path in setup.plan.paths)
 
     def announce(rings: dict[str, Path], config: str) -> None:
         connection.send(Announcement(folder.path.name, rings, config, planned, stored, arguments.setup_version))
