@@ -2,7 +2,6 @@
 
 import heapq
 import math
-import os
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -59,7 +58,6 @@ Pending = Message | Future[CameraImage]
 STEP_NS = 5_000_000  # of the dynamics
 TICK_NS = 10_000_000  # of bus and sensors: two steps
 POSE_BUFFER_S = 0.25
-IMAGE_NICE = 10  # of rendering that may be late, added to that of the world
 ORDERS_TOPIC = "order/operator"
 
 
@@ -149,8 +147,7 @@ class SimulationWorld(World):
             topic: SensorLink(clock, generator(seed, f"clock/{topic}")) for topic, clock in plant.clocks.items()
         }
         self._rendering = rendering
-        lowers = (os.nice, (IMAGE_NICE,)) if rendering is Rendering.LATE else ()  # of this thread alone
-        self._render_thread = ThreadPoolExecutor(1, "camera", *lowers)  # starts with the first image
+        self._render_thread = ThreadPoolExecutor(1, "camera")  # starts with the first image
         self._pending: list[tuple[int, int, str, Pending]] = []
         self._put_count = 0
         self._seed, self._operator = seed, operator

@@ -18,14 +18,18 @@ class LiveConfig(Config):
     timeout_s: dict[str, Seconds]
     startup_s: Seconds
     first_beat_s: Seconds
+    realtime: dict[str, Annotated[int, Field(ge=1, le=90)]] = Field(
+        description="priorities of processes that other programs may not delay (SCHED_FIFO); needs root or CAP_SYS_NICE"
+    )
     nice: dict[str, Annotated[int, Field(ge=-20, le=19)]] = Field(
-        description="nice values of processes, added to that of the start; those below 0 need root or CAP_SYS_NICE"
+        description="nice values of other processes, added to that of the start; those below 0 need the same"
     )
     thinned_log: ThinnedLogConfig
     order_folder: str = Field(min_length=1, description="sequence numbers of the orders, in the project's folder")
 
     @model_validator(mode="after")
     def _has_every_process(self) -> "LiveConfig":
-        if set(self.ring_mib) != set(ROLES) or not set(self.timeout_s) | set(self.nice) <= set(ROLES):
-            raise ValueError(f"ring_mib must name {', '.join(ROLES)}, timeout_s and nice some of them")
+        some = set(self.timeout_s) | set(self.realtime) | set(self.nice)
+        if set(self.ring_mib) != set(ROLES) or not some <= set(ROLES):
+            raise ValueError(f"ring_mib must name {', '.join(ROLES)}; timeout_s, realtime and nice some of them")
         return self

@@ -8,7 +8,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -76,13 +76,12 @@ def run_process(start: Start) -> None:
 def _run(start: Start) -> None:
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
     timeouts = start.config.timeout_s if start.role == "safety" else {}
-    with suppress(PermissionError):
-        os.nice(start.config.nice.get(start.role, 0))
     links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts, start.config.first_beat_s)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()
         gc.freeze()  # a full garbage collection takes 0.1 s
         stop_signals: list[int] = []
+        _take_priority(start)
         signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
         end_with_parent(start.parent, signal.SIGTERM)  # closes its files
         start.barrier.wait(start.config.startup_s)
@@ -92,6 +91,18 @@ def _run(start: Start) -> None:
             executor.run(lambda: bool(stop_signals))
         except LogError as error:
             sys.stderr.write(f"headland: {error}\n")
+
+
+def _take_priority(start: Start) -> None:
+    """Priority of this thread; threads that it starts, such as for images, have none."""
+    try:
+        os.nice(start.config.nice.get(start.role, 0))
+        if start.role in start.config.realtime:
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(start.config.realtime[start.role]))
+    except PermissionError:
+        if start.role == "safety":
+            sys.stderr.write("headland: no permission for real-time priority: a busy computer may stop the machine\n")
 
 
 @contextmanager

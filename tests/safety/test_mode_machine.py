@@ -323,3 +323,13 @@ def test_reset_of_ended_faults(bench: Bench, stop: dict[str, Any]) -> None:
     assert bench.fault_memory.active == (fault,)
     assert bench.show(OperatorCommandKind.RESET, OperatorCommandKind.AUTOMATIC, **STANDING) is Mode.STANDBY
     assert bench.fault_memory.active == ()
+
+
+@pytest.mark.parametrize("is_still", [True, False])
+def test_reset_in_standby_takes_ended_faults(bench: Bench, is_still: bool) -> None:
+    fault = Fault(0, "a", "part", Severity.ALARM, True, Response.CONTROLLED_STOP, True, "broken", "kaputt")
+    other = replace(fault, code="b")
+    bench.fault_memory.update([fault, other, replace(fault, is_active=False)])
+    speed = STANDING if is_still else {}
+    assert bench.show(OperatorCommandKind.RESET, **speed) is Mode.STANDBY
+    assert bench.fault_memory.active == ((other,) if is_still else (fault, other))
