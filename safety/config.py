@@ -328,6 +328,7 @@ class LimitsConfig(Config):
     min_slowing_mps2: Acceleration = Field(
         description="deceleration expected of the machine when its command is lowered"
     )
+    min_drive_ratio: float = Field(gt=0.0, lt=1.0, description="measured over commanded speed")
     min_brake_ratio: float = Field(gt=0.0, le=1.0, description="measured over commanded deceleration")
     max_group_age_s: Seconds = Field(description="maximum age of a group within the machine's state")
     clock_step_s: Seconds = Field(description="deviation from the period above which the clock has stepped")

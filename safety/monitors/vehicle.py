@@ -12,11 +12,8 @@ from safety.monitors.memory import DebounceTimer, RecentDuration, RecentRange
 from safety.pose_history import tilt_of
 from safety.stopping_distance import Braking, on_grade
 
-BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS = (
-    1.0,
-    0.5,
-    0.3,
-)  # below these the conditions are within the noise
+# below these the conditions are within the noise
+BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS, DRIVE_COMMANDED_MPS = 1.0, 0.5, 0.3, 0.5
 DIRECTION_MPS = 0.1
 
 
@@ -37,6 +34,7 @@ class VehicleState:
     driver_override_s: float
     steering_deviation_s: float
     steering_unavailable_s: float
+    drive_ineffective_s: float
     brake_ineffective_s: float
     overspeed_s: float
     has_driver: bool
@@ -53,7 +51,7 @@ class VehicleMonitor:
         self._curvatures = RecentRange(config.limits.curvature_delay_s)
         self._levels = RecentRange(config.limits.protection_alert_s)
         self._has_driver, self._seat_empty = False, DebounceTimer()
-        self._override, self._ineffective = DebounceTimer(), DebounceTimer()
+        self._override, self._ineffective, self._standing = DebounceTimer(), DebounceTimer(), DebounceTimer()
         self._overspeed = DebounceTimer()
         self._expected_mps, self._expected_ns = 0.0, 0
         self._deviation, self._unavailable = RecentDuration(config.limits.curvature_memory_s), DebounceTimer()
@@ -88,6 +86,7 @@ class VehicleMonitor:
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
             self._deviation.update(now_ns, is_watched, self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
+            self._standing.update(now_ns, is_watched and self._drive_ineffective(odom, command)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
             self._overspeed.update(now_ns, self._is_overspeed(now_ns, is_watched, command)),
             self._driver_present(now_ns, machine),
@@ -117,6 +116,14 @@ class VehicleMonitor:
 
     def _steering_unavailable(self, machine: MachineState | None) -> bool:
         return machine is not None and not machine.is_steering_ready and self._fastest_mps >= STEER_MOVING_MPS
+
+    def _drive_ineffective(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
+        """Whether the machine stands, creeps or rolls back while the command is to drive."""
+        if odom is None or command is None or not command.is_drive_enabled or command.deceleration_mps2 > 0.0:
+            return False
+        asked_mps = abs(command.speed_mps)
+        moved_mps = math.copysign(odom.speed_mps, odom.speed_mps * command.speed_mps)
+        return asked_mps >= DRIVE_COMMANDED_MPS and moved_mps < self._config.limits.min_drive_ratio * asked_mps
 
     def _brake_ineffective(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
         if odom is None or command is None or abs(odom.speed_mps) < BRAKE_MOVING_MPS:

@@ -443,7 +443,8 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
     speed_mps, is_known = changes.pop("speed_mps", 2.0), changes.pop("is_speed_known", True)
     vehicle = VehicleState(
         speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.01,
-        math.inf if math.isnan(level := inputs.map_pose.protection_level_m) else level, 0.0, 0.0, 0.0, 0.0, 0.0, False,
+        math.inf if math.isnan(level := inputs.map_pose.protection_level_m) else level, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+            False,
     )  # fmt: skip
     inputs = replace(inputs, **{name: changes.pop(name) for name in vars(inputs).keys() & changes.keys()})
     vehicle = replace(vehicle, **{name: changes.pop(name) for name in vars(vehicle).keys() & changes.keys()})

@@ -23,7 +23,7 @@ RESULTS = {"emergency", "stop", "limit", "advisory"}
 ORDER = (
     "emergency_stop", "driver_override", "clock_step", "reported_fault", "message_timeout", "lidar_agreement",
     "supply_voltage",
-    "steering", "brake", "overspeed", "localization", "tilt", "geofence", "implement_fold",
+    "steering", "drive", "brake", "overspeed", "localization", "tilt", "geofence", "implement_fold",
     "protective_field", "tracked_obstacle", "standing_body",
     "detection_range", "vegetation", "sensor_loss", "wall_clearance", "speed_limit",
 )  # fmt: skip

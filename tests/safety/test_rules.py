@@ -32,7 +32,7 @@ NO_OBJECTION = {
     "reported_fault": "reported_fault",
     "message_timeout": "message_timeout", "lidar_agreement": "lidar_agreement",
     "supply_voltage": "supply_voltage", "steering": "steering",
-    "brake": "brake.weak", "overspeed": "overspeed",
+    "drive": "drive.not_following", "brake": "brake.weak", "overspeed": "overspeed",
     "localization": "localization", "tilt": "tilt", "geofence": "geofence", "implement_fold": "implement_fold",
     "protective_field": "protective_field",
     "tracked_obstacle": "tracked_obstacle", "standing_body": "standing_body",
@@ -183,6 +183,13 @@ def test_steering(config: SupervisorConfig) -> None:
             == expected
         )
     assert ask("steering", config, **with_machine(is_steering_ready=False)) == (LIMIT, "steering.not_ready", 0.0)
+
+
+@clause("BD-5.2.5a", rule="drive")
+def test_drive(config: SupervisorConfig) -> None:
+    for held in around(5.0, 0.02):
+        expected = STOP if held > 5.0 else NONE
+        assert ask("drive", config, drive_ineffective_s=held)[:2] == (expected, "drive.not_following"), held
 
 
 @clause("BD-5.2.5b", rule="brake")

@@ -73,7 +73,7 @@ def make(machine: Vehicle, implement, config: SupervisorConfig, geofence: Geofen
 
 
 def measured(config: SupervisorConfig, speed_mps: float | None = -1.5) -> VehicleState:
-    return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.07, 0.1, 0.2, 0.3, 0.4, 0.5, True)
+    return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.07, 0.1, 0.2, 0.3, 0.35, 0.4, 0.5, True)
 
 
 def source(name: str, covers: int, is_frozen: bool) -> Any:

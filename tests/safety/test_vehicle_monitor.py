@@ -178,6 +178,26 @@ def test_steering_unavailable(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
+def test_drive_ineffective(bench: Bench, sign: int) -> None:
+    driving = replace(COMMAND, speed_mps=sign * 2.0, is_drive_enabled=True, deceleration_mps2=0.0)
+
+    def stands(speed: float, command: SafeCommand | None = driving, mode: Mode = Mode.AUTOMATIC) -> bool:
+        bench.show(odom=None, mode=Mode.AUTOMATIC)
+        bench.show(odom=odometry(sign * speed), command=command, mode=mode)
+        return bench.show(0.5).drive_ineffective_s > 0.0
+
+    for speed in around(0.4, 0.01):
+        assert stands(speed) == (speed < 0.4), speed
+    assert stands(0.0)
+    assert stands(-1.0)  # it rolls back
+    for asked in around(0.5, 0.01):
+        assert stands(0.0, replace(driving, speed_mps=sign * asked)) == (asked >= 0.5), asked
+    for command in (None, replace(driving, is_drive_enabled=False), replace(driving, deceleration_mps2=0.1)):
+        assert not stands(0.0, command)
+    assert not stands(0.0, mode=Mode.STANDBY)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
 def test_brake_ineffective(bench: Bench, sign: int) -> None:
     braking = replace(COMMAND, deceleration_mps2=2.0)
 

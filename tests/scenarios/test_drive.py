@@ -3,6 +3,7 @@
 import io
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,3 +123,17 @@ def test_standstill_before_start_command(setup: Setup) -> None:
 
     forward(setup, lambda d: "start_warning" in d.modes, 6.0, sinks=(note,))
     assert np.ptp(places, axis=0).max() < 0.01
+
+
+def test_implement_too_heavy_to_pull_stops_the_machine() -> None:
+    setup = load_setup("line", None, None, None, 1)
+    simulation = setup.stack.simulation
+    heavy = simulation.machine.implement.model_copy(update={"draft_n_per_m": 4000.0})
+    machine = simulation.machine.model_copy(update={"implement": heavy})
+    stack = setup.stack.model_copy(update={"simulation": simulation.model_copy(update={"machine": machine})})
+
+    def stands(d: Drive) -> bool:
+        return "safe_command" in d.newest and d.last("safe_command", SafeCommand).mode is Mode.FAULT_STOP
+
+    drive = forward(replace(setup, stack=stack), stands, 30.0, starting_early("empty"))
+    assert drive.last("safe_command", SafeCommand).reason == "drive.not_following"

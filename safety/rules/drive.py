@@ -1,0 +1,34 @@
+"""Drive: the machine moves when it is told to."""
+
+from configs.strict import Config
+from configs.vehicle import Seconds
+from messages.command import RuleResult
+from safety.rules.results import no_objection, stop
+from safety.rules.rule import Effect, Rule
+from safety.rules.situation import Situation
+
+CODE = "drive.not_following"
+
+
+class DriveLimits(Config):
+    """How long the machine may stand or creep against its command."""
+
+    debounce_s: Seconds
+
+
+def evaluate(situation: Situation, limits: DriveLimits) -> RuleResult:
+    """Stop: the implement is too heavy here, the wheels dig in, or the drive is out of order."""
+    if situation.vehicle.drive_ineffective_s > limits.debounce_s:
+        return stop(CODE, "the machine does not move as commanded")
+    return no_objection(CODE)
+
+
+RULE = Rule(
+    order=75,
+    clauses=("BD-5.2.5a",),
+    effect=Effect.FAULT,
+    evaluate=evaluate,
+    limits=DriveLimits,
+    config_keys=("limits.min_drive_ratio",),
+    texts_zh={CODE: "车辆未按指令行驶"},
+)
