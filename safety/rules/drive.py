@@ -1,4 +1,4 @@
-"""Drive: the machine moves when it is told to."""
+"""Drive: the machine follows its commanded speed."""
 
 from configs.strict import Config
 from configs.vehicle import Seconds
