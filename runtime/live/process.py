@@ -81,7 +81,7 @@ def _run(start: Start) -> None:
         gc.collect()
         gc.freeze()  # a full garbage collection takes 0.1 s
         stop_signals: list[int] = []
-        _take_priority(start)
+        take_priority(start.role, start.config)
         signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
         end_with_parent(start.parent, signal.SIGTERM)  # closes its files
         start.barrier.wait(start.config.startup_s)
@@ -93,15 +93,15 @@ def _run(start: Start) -> None:
             sys.stderr.write(f"headland: {error}\n")
 
 
-def _take_priority(start: Start) -> None:
-    """Priority of this thread; threads that it starts, such as for images, have none."""
+def take_priority(role: str, config: LiveConfig) -> None:
+    """Takes the configured priority for this thread; threads that it starts, such as for images, have none."""
     try:
-        os.nice(start.config.nice.get(start.role, 0))
-        if start.role in start.config.realtime:
+        os.nice(config.nice.get(role, 0))
+        if role in config.realtime:
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(0, policy, os.sched_param(start.config.realtime[start.role]))
+            os.sched_setscheduler(0, policy, os.sched_param(config.realtime[role]))
     except PermissionError:
-        if start.role == "safety":
+        if role == "safety":
             sys.stderr.write("headland: no permission for real-time priority: a busy computer may stop the machine\n")
 
 

@@ -258,3 +258,30 @@ def test_shadow_receives_and_sends_nothing(tmp_path: Path) -> None:
     bus.shutdown()
     assert 0 < result["frames"] <= sent
     assert received == 0
+
+
+PRIORITY = """
+import os, threading
+from runtime.live.config import LiveConfig
+from runtime.live.process import take_priority
+from configs.strict import CONFIGS, load
+take_priority("ROLE", load(LiveConfig, CONFIGS / "live.yaml"))
+policies = [os.sched_getscheduler(0)]
+thread = threading.Thread(target=lambda: policies.append(os.sched_getscheduler(0)))
+thread.start()
+thread.join()
+print(*(policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO for policy in policies))
+"""
+
+
+@pytest.mark.parametrize("role", ["safety", "machine", "log"])
+def test_real_time_priority_of_a_process_but_not_of_its_threads(role: str) -> None:
+    command = [sys.executable, "-c", PRIORITY.replace("ROLE", role)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    is_realtime, is_thread_realtime = (word == "True" for word in done.stdout.split())
+    is_refused = "no permission for real-time priority" in done.stderr
+    assert not is_thread_realtime
+    if role == "log":
+        assert not is_realtime
+    elif role == "safety":
+        assert is_realtime != is_refused
