@@ -81,6 +81,8 @@ class LogWriter:
         self._digest = Digest()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._opened: dict[str, tuple[str, bytes]] = {}
+        self._is_rotating = False
         self._logged: dict[str, bool] = {}
         self._flush_ns, self._sync_ns = round(config.flush_s * 1e9), round(config.sync_s * 1e9)
         self._flushed_at_ns: int | None = None
@@ -136,6 +138,7 @@ class LogWriter:
     def close(self) -> None:
         """Writes end record and index, which complete the log."""
         try:
+            self._thread.drain()  # a new part may be due
             if self._is_open:
                 self._finish_part(END, {"messages": str(self.messages), "digest": self.digest()})
         finally:
@@ -157,25 +160,35 @@ class LogWriter:
 
     def _finish_part(self, name: str, values: Mapping[str, str]) -> None:
         """Writes the last metadata of a part, then index and end record."""
-        self._thread.drain()
         self._is_open = False
         self._writer.add_metadata(name, dict(values))
         self._writer.finish()
         self._file.sync()
 
     def _rotate_when_due(self, now_ns: int) -> None:
-        """Begins a new part after `part_s` or `part_mb`; raises LogError without the space for one."""
+        """Begins a new part after `part_s` or `part_mb`."""
         if self._part_began_ns is None:
             self._part_began_ns = now_ns
         is_old = abs(now_ns - self._part_began_ns) >= self._config.part_s * 1e9
-        if not is_old and self._file.tell() < self._config.part_mb * MB:
-            return
-        digest = self.digest()
+        is_due = is_old or self._file.tell() >= self._config.part_mb * MB
+        if is_due and not self._is_rotating:
+            self._is_rotating, self._part_began_ns = True, now_ns
+            self._thread.call_later(self._rotate)
+
+    def _rotate(self) -> None:
+        """Ends a part and begins the next one with the same channels; raises LogError without the space for one.
+
+        In the thread: the index of an hour takes longer than the heartbeat of a process may.
+        """
+        digest = self._digest.text()
         self._finish_part(CONTINUED, {"digest": digest})
         self._file.close()
-        self._part, self._part_began_ns = self._part.next, now_ns
-        self._channels, self._schemas = {}, {}
+        self._part = self._part.next
         self._open_part({PART: {"number": str(self._part.number), "digest": digest}})
+        self._schemas = {}
+        for topic in self._opened:
+            self._register(topic)
+        self._is_rotating = False
 
     def __enter__(self) -> Self:
         return self
@@ -199,10 +212,18 @@ class LogWriter:
         self._add(channel, receive_ns, shown.SerializeToString(), stamp_ns, 0)
 
     def _add(self, channel: int, receive_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        self._thread.call_later(self._writer.add_message, channel, receive_ns, data, stamp_ns, sequence)
+        self._thread.call_later(self._write, channel, receive_ns, data, stamp_ns, sequence)
         self._held_bytes += len(data)
         if self._held_bytes > self._chunk_bytes:
             self._submit()
+
+    def _write(self, channel: int, receive_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
+        self._writer.add_message(channel, receive_ns, data, stamp_ns, sequence)
+
+    def _flush(self, is_synchronized: bool) -> None:
+        self._writer.flush()
+        if is_synchronized:
+            self._file.sync()
 
     def _submit(self) -> None:
         self._held_bytes = 0
@@ -210,10 +231,17 @@ class LogWriter:
 
     def _open(self, topic: str, name: str, schema: bytes) -> int:
         self._thread.drain()  # channel numbers are assigned by queued calls
+        self._opened[topic] = name, schema
+        self._channels[topic] = self._register(topic)
+        return self._channels[topic]
+
+    def _register(self, topic: str) -> int:
+        """Channel of a topic in this part; the same in each, since the order is."""
+        name, schema = self._opened[topic]
         if name not in self._schemas:
             self._schemas[name] = self._writer.register_schema(name, SchemaEncoding.Protobuf, schema)
-        self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
-        return self._channels[topic]
+        channel: int = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        return channel
 
     def _flush_when_due(self, now_ns: int) -> None:
         """Ends the chunk after `flush_s`, and after a clock jump backwards."""
@@ -223,10 +251,10 @@ class LogWriter:
             return
         self._flushed_at_ns = now_ns
         self._file.check_space()
-        self._thread.call_later(self._writer.flush)
-        if not 0 <= now_ns - self._synced_at_ns < self._sync_ns:
+        is_synchronized = not 0 <= now_ns - self._synced_at_ns < self._sync_ns
+        if is_synchronized:
             self._synced_at_ns = now_ns
-            self._thread.call_later(self._file.sync)
+        self._thread.call_later(self._flush, is_synchronized)
         self._submit()
         if self._rotates:
             self._rotate_when_due(now_ns)

@@ -1,48 +1,54 @@
-"""Thread that compresses and writes one batch of messages while the next is collected."""
+"""Thread that compresses and writes batches of messages while the next one is collected."""
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
+
+MAX_BATCHES = 8  # that wait or run: a new part of a log takes as long as several
 
 
 class WriterThread:
     """Executes calls in the given order, in batches; the file is the same as without the thread.
 
-    An exception ends its batch and is raised by the next `submit` or `drain`.
+    An exception ends its batch, drops the later ones, and is raised by a later `submit` or by `drain`.
     """
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1, "log")
         self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
-        self._batch: Future[None] | None = None
+        self._batches: deque[Future[None]] = deque()
+        self._has_failed = False
 
     def call_later(self, call: Callable[..., Any], *arguments: Any) -> None:
         """Adds a call to the next batch."""
         self._calls.append((call, arguments))
 
     def submit(self) -> None:
-        """Starts the batch after the previous one is done: at most two are held."""
-        self._wait()
+        """Starts the batch after those before it; waits while there are `MAX_BATCHES`."""
+        while self._batches and (self._batches[0].done() or len(self._batches) >= MAX_BATCHES):
+            self._batches.popleft().result()
         calls, self._calls = self._calls, []
-        self._batch = self._pool.submit(_make, calls)
+        self._batches.append(self._pool.submit(self._make, calls))
 
     def drain(self) -> None:
         """Returns when all calls are executed."""
         if self._calls:
             self.submit()
-        self._wait()
+        while self._batches:
+            self._batches.popleft().result()
 
     def stop(self) -> None:
-        """Ends after the running batch; calls not submitted are dropped."""
+        """Ends after the submitted batches; calls not submitted are dropped."""
         self._calls.clear()
         self._pool.shutdown()
 
-    def _wait(self) -> None:
-        batch, self._batch = self._batch, None
-        if batch is not None:
-            batch.result()
-
-
-def _make(calls: list[tuple[Callable[..., Any], tuple[Any, ...]]]) -> None:
-    for call, arguments in calls:
-        call(*arguments)
+    def _make(self, calls: list[tuple[Callable[..., Any], tuple[Any, ...]]]) -> None:
+        if self._has_failed:
+            return
+        try:
+            for call, arguments in calls:
+                call(*arguments)
+        except BaseException:
+            self._has_failed = True
+            raise

@@ -1,14 +1,16 @@
 """A rotated log is read as one log; a missing, foreign or cut part is named."""
 
 import shutil
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
+from threading import Event
 
 import pytest
 
 from datasets.importers.formats import open_recording
 from datasets.log import LogConfig, LogWriter
-from datasets.parts import files_of
+from datasets.parts import CONTINUED, files_of
 from datasets.reader import LogScan, read_log, read_metadata
 from datasets.summary import summarize_log
 from messages.errors import LogError
@@ -130,3 +132,21 @@ def test_existing_file_is_not_overwritten_by_a_part(tmp_path: Path) -> None:
     scan = LogScan(tmp_path / "log.mcap")
     assert sum(1 for _ in scan) > 950
     assert not scan.is_complete
+
+
+def test_messages_do_not_wait_for_a_new_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, may_end, end = tmp_path / "log.mcap", Event(), LogWriter._finish_part
+
+    def held(self: LogWriter, name: str, values: Mapping[str, str]) -> None:
+        assert name != CONTINUED or may_end.wait(60.0)
+        end(self, name, values)
+
+    monkeypatch.setattr(LogWriter, "_finish_part", held)
+    config = BY_TIME.model_copy(update={"flush_s": 1.0})
+    with LogWriter(path, {}, config, rotates=True) as writer:
+        for k in range(1300):
+            writer.write(Envelope("wheel", k, k * S // 100, WheelSample(k * S // 100, 0.0, 0.0)))
+        may_end.set()
+    summary = summarize_log(path)
+    assert (summary.is_complete, summary.messages) == (True, 1300)
+    assert (tmp_path / "log.2.mcap").is_file()
