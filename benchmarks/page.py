@@ -242,9 +242,9 @@ async def under_load(machine: Machine, seconds: float, clients: int) -> dict[str
     for page in pages[1:]:
         await page.close()
     silent = await silent_client(machine, cookie)
-    before_mb = memory_mb(machine.process.pid)[0]
+    before_mb = sum(memory_mb(machine.process.pid))
     rows["slow_client"] = await watched(machine, seconds, pages[0])
-    rows["slow_client"]["resident_mb_more"] = round(memory_mb(machine.process.pid)[0] - before_mb, 1)
+    rows["slow_client"]["resident_mb_more"] = round(sum(memory_mb(machine.process.pid)) - before_mb, 1)
     silent.close()
     await pages[0].close()
     return rows
@@ -273,10 +273,11 @@ def processor_s(pid: int) -> float:
 
 
 def memory_mb(pid: int) -> list[float]:
-    """Resident memory of a process, in all and anonymous, which is without shared rings and files."""
+    """Resident memory of a process by kind: anonymous, of files, and shared: the rings, the same pages in each."""
+    kinds = ("RssAnon", "RssFile", "RssShmem")
     lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
-    found = {line[0].rstrip(":"): float(line[1]) for line in lines if line[:1] in (["VmRSS:"], ["RssAnon:"])}
-    return [found[kind] * 1024 / 1e6 for kind in ("VmRSS", "RssAnon")]
+    found = {line[0].rstrip(":"): float(line[1]) for line in lines if line[:1] in [[f"{kind}:"] for kind in kinds]}
+    return [found[kind] * 1024 / 1e6 for kind in kinds]
 
 
 def descendants(pid: int) -> list[int]:

@@ -1,6 +1,7 @@
 """Log writer: MCAP, zstd, one channel per topic; readable up to the last second after a crash."""
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ import mcap.writer
 import numpy as np
 import zstandard
 from google.protobuf.message import Message as Proto
+from mcap.records import ChunkIndex
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 from pydantic import Field
@@ -32,6 +34,36 @@ from messages.topics import spec_of
 # 6 % more bytes of scans; lz4 takes half of it, for 50 to 66 % more bytes (its window is 64 kB).
 _LEVEL_1: Any = SimpleNamespace(compress=partial(zstandard.compress, level=1))
 mcap.writer.zstandard = _LEVEL_1  # type: ignore[attr-defined]
+
+
+class _Offsets:
+    """Channel and offset of the message indexes of a chunk, which the writer keeps until the end of the part.
+
+    As the dictionary that `mcap` uses, but in 10 bytes each: a chunk a second of 60 channels held 17 MB per hour.
+    """
+
+    def __init__(self) -> None:
+        self._packed = bytearray()
+
+    def __setitem__(self, channel: int, offset: int) -> None:
+        self._packed += _OFFSET.pack(channel, offset)
+
+    def __len__(self) -> int:
+        return len(self._packed) // _OFFSET.size
+
+    def items(self) -> Iterator[tuple[int, int]]:
+        """All channels and offsets, in the order of writing."""
+        return _OFFSET.iter_unpack(self._packed)
+
+
+_OFFSET = struct.Struct("<HQ")
+
+
+def _chunk_index(**values: Any) -> ChunkIndex:
+    return ChunkIndex(**values | {"message_index_offsets": _Offsets()})
+
+
+mcap.writer.ChunkIndex = _chunk_index  # type: ignore[attr-defined, assignment]
 
 PROFILE = "headland"
 RECORDED = "/recorded/"

@@ -1,12 +1,14 @@
 """A rotated log is read as one log; a missing, foreign or cut part is named."""
 
 import shutil
+import tracemalloc
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from threading import Event
 
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from datasets.importers.formats import open_recording
 from datasets.log import LogConfig, LogWriter
@@ -150,3 +152,20 @@ def test_messages_do_not_wait_for_a_new_part(tmp_path: Path, monkeypatch: pytest
     summary = summarize_log(path)
     assert (summary.is_complete, summary.messages) == (True, 1300)
     assert (tmp_path / "log.2.mcap").is_file()
+
+
+def test_writer_keeps_little_of_each_chunk(tmp_path: Path) -> None:
+    channels, chunks, kept = 50, 200, []
+    with LogWriter(tmp_path / "log.mcap", {}, BY_TIME) as writer:
+        for chunk in range(3 * chunks):
+            for k in range(channels):
+                stamp_ns = (chunk * channels + k) * S // (10 * channels)
+                writer.write_view(stamp_ns, stamp_ns, f"/view/{k}", Log(message="x"))
+            writer.show(Envelope("wheel", 0, (chunk + 1) * S // 10, WheelSample(0, 0.0, 0.0)))
+            if chunk + 1 == chunks:
+                writer.digest()  # everything is written
+                tracemalloc.start()
+        kept.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+    assert LogScan(tmp_path / "log.mcap")
+    assert kept[0] / (2 * chunks) < 2500
