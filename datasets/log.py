@@ -206,6 +206,7 @@ class LogWriter:
         if is_due and not self._is_rotating:
             self._is_rotating, self._part_began_ns = True, now_ns
             self._thread.call_later(self._rotate)
+            self._thread.submit(is_long=True)
 
     def _rotate(self) -> None:
         """Ends a part and begins the next one with the same channels; raises LogError without the space for one.

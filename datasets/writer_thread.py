@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-MAX_BATCHES = 8  # that wait or run: a new part of a log takes as long as several
+MAX_BATCHES = 8  # that wait while a long one is executed
 
 
 class WriterThread:
@@ -18,18 +18,21 @@ class WriterThread:
         self._pool = ThreadPoolExecutor(1, "log")
         self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
         self._batches: deque[Future[None]] = deque()
+        self._long: Future[None] | None = None
         self._has_failed = False
 
     def call_later(self, call: Callable[..., Any], *arguments: Any) -> None:
         """Adds a call to the next batch."""
         self._calls.append((call, arguments))
 
-    def submit(self) -> None:
-        """Starts the batch after those before it; waits while there are `MAX_BATCHES`."""
-        while self._batches and (self._batches[0].done() or len(self._batches) >= MAX_BATCHES):
+    def submit(self, is_long: bool = False) -> None:
+        """Starts the batch after the one before it is done, so that at most two are held; if that is long, it waits."""
+        most = MAX_BATCHES if self._long is not None and not self._long.done() else 1
+        while self._batches and (self._batches[0].done() or len(self._batches) >= most):
             self._batches.popleft().result()
         calls, self._calls = self._calls, []
         self._batches.append(self._pool.submit(self._make, calls))
+        self._long = self._batches[-1] if is_long else self._long
 
     def drain(self) -> None:
         """Returns when all calls are executed."""
