@@ -118,7 +118,7 @@ def main() -> int:
         result = asyncio.run(hours(machine, folder, arguments.hours * 3600.0, arguments.pause_s))
     print(json.dumps(result))
     growths = [float(result[f"{name}_mb_per_h"]) for name in ("page", "machine")]  # type: ignore[arg-type]
-    is_right = max(growths) <= MAX_MB_PER_H and float(result["log_gb_per_h"]) <= MAX_GB_PER_H  # type: ignore[arg-type]
+    is_right = all(one <= MAX_MB_PER_H for one in growths) and float(result["log_gb_per_h"]) <= MAX_GB_PER_H  # type: ignore[arg-type]
     return 0 if is_right and float(result["automatic_share"]) >= LEAST_AUTOMATIC else 1  # type: ignore[arg-type]
 
 

@@ -274,10 +274,8 @@ def processor_s(pid: int) -> float:
 
 def memory_mb(pid: int) -> list[float]:
     """Resident memory of a process by kind: anonymous, of files, and shared: the rings, the same pages in each."""
-    kinds = ("RssAnon", "RssFile", "RssShmem")
-    lines = (line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines())
-    found = {line[0].rstrip(":"): float(line[1]) for line in lines if line[:1] in [[f"{kind}:"] for kind in kinds]}
-    return [found[kind] * 1024 / 1e6 for kind in kinds]
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    return [float(status[kind].split()[0]) * 1024 / 1e6 for kind in ("RssAnon", "RssFile", "RssShmem")]
 
 
 def descendants(pid: int) -> list[int]:

@@ -114,7 +114,6 @@ class LogWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._opened: dict[str, tuple[str, bytes]] = {}
-        self._is_rotating = False
         self._logged: dict[str, bool] = {}
         self._flush_ns, self._sync_ns = round(config.flush_s * 1e9), round(config.sync_s * 1e9)
         self._flushed_at_ns: int | None = None
@@ -203,8 +202,8 @@ class LogWriter:
             self._part_began_ns = now_ns
         is_old = abs(now_ns - self._part_began_ns) >= self._config.part_s * 1e9
         is_due = is_old or self._file.tell() >= self._config.part_mb * MB
-        if is_due and not self._is_rotating:
-            self._is_rotating, self._part_began_ns = True, now_ns
+        if is_due and not self._thread.has_long_batch:
+            self._part_began_ns = now_ns
             self._thread.call_later(self._rotate)
             self._thread.submit(is_long=True)
 
@@ -221,7 +220,6 @@ class LogWriter:
         self._schemas = {}
         for topic in self._opened:
             self._register(topic)
-        self._is_rotating = False
 
     def __enter__(self) -> Self:
         return self

@@ -38,7 +38,6 @@ CLASS_COLORS: dict[ObstacleClass, Rgba] = {
     ObstacleClass.VEHICLE: (0.3, 0.5, 1.0, 0.7),
 }
 MAX_TRIGGERING_POINTS = 60
-# Path points have 0.1 m spacing; 0.5 m is shown.
 BAY_MARK_M = 3.0
 ARC_POINTS = 7
 T_BODY_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

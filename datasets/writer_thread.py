@@ -21,13 +21,18 @@ class WriterThread:
         self._long: Future[None] | None = None
         self._has_failed = False
 
+    @property
+    def has_long_batch(self) -> bool:
+        """Whether a long batch waits or is executed."""
+        return self._long is not None and not self._long.done()
+
     def call_later(self, call: Callable[..., Any], *arguments: Any) -> None:
         """Adds a call to the next batch."""
         self._calls.append((call, arguments))
 
     def submit(self, is_long: bool = False) -> None:
         """Starts the batch after the one before it is done, so that at most two are held; if that is long, it waits."""
-        most = MAX_BATCHES if self._long is not None and not self._long.done() else 1
+        most = MAX_BATCHES if self.has_long_batch else 1
         while self._batches and (self._batches[0].done() or len(self._batches) >= most):
             self._batches.popleft().result()
         calls, self._calls = self._calls, []

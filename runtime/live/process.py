@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from typing import Any
@@ -156,13 +157,17 @@ class LateWorld(World):
         self.writes = world.writes
         self._world, self._bus, self._start = world, bus, start
 
+    @cached_property
+    def _clock(self) -> Clock:
+        return self._start.clock()
+
     def next_ns(self) -> int | None:
         """Time of the next step of the world."""
         return self._world.next_ns()
 
     def step(self, now_ns: int) -> Iterable[Output]:
         """Steps the world, with the frames up to its own time."""
-        late_s = (self._start.clock()() - now_ns) * 1e-9
+        late_s = (self._clock() - now_ns) * 1e-9
         self._bus.until_s = time.time() - late_s
         return self._world.step(now_ns)
 

@@ -138,15 +138,16 @@ def test_process_has_longer_for_its_first_heartbeat(tmp_path: Path) -> None:
             late.beat(clock())
         return clock() - began_ns > 800_000_000
 
+    def faults() -> list[Fault]:
+        return [e.message for e in received if isinstance(e.message, Fault)]
+
     executor.run(beats)
-    found = [e.message for e in received if isinstance(e.message, Fault)]
-    assert [(fault.source, fault.is_active, fault.is_latched) for fault in found] == [("never", True, True)]
+    assert [(fault.source, fault.is_active, fault.is_latched) for fault in faults()] == [("never", True, True)]
     late.beat(clock() - 200_000_000)
-    executor.run(lambda: len([e for e in received if isinstance(e.message, Fault)]) == 2)
+    executor.run(lambda: len(faults()) == 2)
     late.beat(clock())
-    executor.run(lambda: len([e for e in received if isinstance(e.message, Fault)]) == 3)
-    found = [e.message for e in received if isinstance(e.message, Fault)]
-    assert [(fault.source, fault.is_active) for fault in found[1:]] == [("late", True), ("late", False)]
+    executor.run(lambda: len(faults()) == 3)
+    assert [(fault.source, fault.is_active) for fault in faults()[1:]] == [("late", True), ("late", False)]
 
 
 def frame(k: int) -> can.Message:
