@@ -1,6 +1,6 @@
 """Reading of complete and truncated MCAP logs, of Headland and others, in file order."""
 
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from mcap.records import Channel, Metadata, Schema, Statistics
 
 from datasets.codec import codec_for, proto_from
 from datasets.parts import CONTINUED, PART, part_name
-from datasets.records import Damage, End, RawMessage, walk
+from datasets.records import Chunk, Damage, End, RawMessage, messages_of, walk
 from datasets.schema import PACKAGE
 from messages.errors import LogError
 from messages.message import Envelope
@@ -47,6 +47,8 @@ class LogScan:
     size_bytes: int = 0
     orphans: int = 0
     is_ended: bool = False
+    _chunks: list[tuple[Path, Chunk]] = field(default_factory=list)
+    _known: dict[Path, tuple[dict[int, Schema], dict[int, Channel]]] = field(default_factory=dict)
 
     @property
     def is_complete(self) -> bool:
@@ -82,9 +84,29 @@ class LogScan:
             self.is_ended = False
         return None
 
+    def newest(self, topics: Container[str], at_ns: int, within_ns: int) -> dict[str, Entry]:
+        """Newest entry of each of some topics received up to `at_ns` and at most `within_ns` before.
+
+        After iteration: the chunks of that time are read again. Raises LogError for a file that has changed since.
+        """
+        found: dict[str, Entry] = {}
+        wanted = {one.topic for _, channels in self._known.values() for one in channels.values() if one.topic in topics}
+        for path, chunk in reversed(self._chunks):
+            if chunk.end_ns < at_ns - within_ns or found.keys() == wanted:
+                break
+            if chunk.start_ns > at_ns:
+                continue
+            schemas, channels = self._known[path]
+            messages = (one for one in messages_of(path, chunk) if one.channel_id in channels)
+            entries = [entry_of(one, channels[one.channel_id], schemas) for one in messages]
+            in_time = (one for one in entries if one.topic in wanted and 0 <= at_ns - one.receive_ns <= within_ns)
+            found = {one.topic: one for one in in_time} | found
+        return found
+
     def _entries_of(self, path: Path) -> Iterator[Entry]:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
+        self._known[path] = schemas, channels
         self.size_bytes += path.stat().st_size if path.is_file() else 0
         for record in walk(path):
             if isinstance(record, RawMessage):
@@ -94,14 +116,13 @@ class LogScan:
                     continue
                 if self.topics is not None and channel.topic not in self.topics:
                     continue
-                yield Entry(
-                    channel.topic, channel.message_encoding, schemas.get(channel.schema_id), record.sequence,
-                    record.receive_ns, record.stamp_ns, record.data,
-                )  # fmt: skip
+                yield entry_of(record, channel, schemas)
             elif isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
+            elif isinstance(record, Chunk):
+                self._chunks.append((path, record))
             else:
                 self._note(record)
 
@@ -114,6 +135,14 @@ class LogScan:
             self.declared_messages = (self.declared_messages or 0) + record.message_count
         else:
             self.is_ended = True
+
+
+def entry_of(record: RawMessage, channel: Channel, schemas: Mapping[int, Schema]) -> Entry:
+    """Entry of a record with its channel."""
+    return Entry(
+        channel.topic, channel.message_encoding, schemas.get(channel.schema_id), record.sequence,
+        record.receive_ns, record.stamp_ns, record.data,
+    )  # fmt: skip
 
 
 def is_ours(entry: Entry) -> bool:

@@ -66,7 +66,16 @@ class End:
     """End record: the file is complete."""
 
 
-WalkRecord = RawMessage | Schema | Channel | Metadata | Statistics | Damage | End
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Place of a chunk in the file, and the log times of its messages, which follow."""
+
+    offset: int
+    start_ns: int
+    end_ns: int
+
+
+WalkRecord = RawMessage | Schema | Channel | Metadata | Statistics | Damage | Chunk | End
 
 
 def walk(path: Path, has_chunks: bool = True) -> Iterator[WalkRecord]:
@@ -82,6 +91,18 @@ def walk(path: Path, has_chunks: bool = True) -> Iterator[WalkRecord]:
                 yield from _walk(data, has_chunks)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def messages_of(path: Path, chunk: Chunk) -> list[RawMessage]:
+    """Messages of a chunk that a walk has found; raises LogError if the file has changed since."""
+    try:
+        with path.open("rb") as file:
+            file.seek(chunk.offset)
+            opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+            records = list(_read(opcode, file.read(length)))
+    except (OSError, *_BAD) as error:
+        raise LogError(f"{path}: has changed since it was opened ({error})") from error
+    return [record for record in records if isinstance(record, RawMessage)]
 
 
 def _walk(data: mmap.mmap, has_chunks: bool) -> Iterator[WalkRecord]:
@@ -102,6 +123,8 @@ def _walk(data: mmap.mmap, has_chunks: bool) -> Iterator[WalkRecord]:
             except _BAD as error:
                 yield Damage(at, end - at, f"{_name(opcode)}: {error or type(error).__name__}", False)
             else:
+                if opcode == Opcode.CHUNK:
+                    yield Chunk(at, *_CHUNK.unpack_from(data, at + _HEAD.size)[:2])
                 yield from records
             if opcode == Opcode.FOOTER:
                 yield from _close(data, end)

@@ -77,6 +77,7 @@ class PageApp:
         """Reads the feed and updates all pages; an error of one page closes that page only."""
         is_new = self._take_drive()
         feed, now_s = self.parts.drive.feed, time.monotonic()
+        feed.watched = frozenset().union(*(page.watched for page in self.pages.values()))
         envelopes = list(feed.poll())
         if self.parts.calibration is not None:
             self.parts.calibration.take(envelopes)
@@ -198,7 +199,7 @@ class PageApp:
         session.used_s = time.monotonic()
         texts, client = texts_of(language_of(request)), ui.context.client
         ui.add_head_html('<link rel="stylesheet" href="/static/page.css"><script src="/static/page.js"></script>')
-        ui.add_head_html('<script src="/static/controls.js"></script>')
+        ui.add_head_html('<script src="/static/controls.js"></script><script src="/static/surroundings.js"></script>')
         ui.add_head_html(f"<script>document.documentElement.lang = '{texts.language}'</script>")
         page = kind(self.parts, client, session, token, texts)
         page.build()

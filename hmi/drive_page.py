@@ -8,6 +8,7 @@ from nicegui import ui
 from nicegui.client import Client
 
 from hmi.access import Session
+from hmi.drive_view import surroundings
 from hmi.drive_view.controls import CONTROLS, NUDGES
 from hmi.drive_view.map_view import path_map, static_map
 from hmi.orders import SentOrder, outcome
@@ -21,6 +22,7 @@ from hmi.view import VIEWS, View
 from messages.command import OrderStatus
 
 ANSWER_SHOWN_S = 6.0
+SCANS_S = 0.18  # between two updates of 3-D view or camera
 GO = ("start", "resume")
 MORE = {"motion": " hl-big"}
 SECTIONS_BESIDE = ("motion", "work", "alarms", "obstacles", "position", "sensors", "machine")
@@ -42,6 +44,7 @@ class DrivePage(View):
         self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
         self._order: SentOrder | None = None
         self._answer_s = 0.0
+        self._pane, self._sent_stamps, self._sent_scans_s = surroundings.MAP, tuple[int, ...](), 0.0
 
     def build_main(self) -> None:
         """Builds state, orders, map and values."""
@@ -52,7 +55,8 @@ class DrivePage(View):
         with ui.element("div").classes("hl-map"):
             bar = f'<div id="bar" class="hl-bar" role="img" aria-label="{escape(self.texts("bar.label"))}"></div>'
             waiting = f'<p id="map-waiting">{escape(self.texts("map.waiting"))}</p>'
-            ui.html(self.map_card(("follow", "all", "smaller", "larger"), waiting) + bar, sanitize=False)
+            shown = self.map_card(("follow", "all", "smaller", "larger"), waiting) + self._panes() + bar
+            ui.html(self._pane_buttons() + shown, sanitize=False)
             if self._replay is not None:
                 self._replay.build()
         cards = "".join(self.rows_card(name, MORE.get(name, "")) for name in SECTIONS_BESIDE)
@@ -72,11 +76,51 @@ class DrivePage(View):
         if state.paths_taken != self._sent_paths:  # a path has tens of thousands of points: not in every update
             self._sent_paths, news["paths"] = state.paths_taken, path_map(state)
         sections["texts"] = {"interrupted": self._interrupted()}
-        self.send(moment, sections, news | self._new_points(state))
+        self.send(moment, sections, news | self._new_points(state) | self._surroundings(state))
         if not self.why_barred:
             self._set_controls(shown["unavailable"], self.seat.update(), state)
         if self._replay is not None:
             self._replay.update()
+
+    def watch(self, pane: str) -> None:
+        """Shows map, 3-D view or a camera in the place of the map."""
+        if pane in surroundings.panes(self.parts.drive.scene.vehicle):
+            self._pane, self._sent_stamps = pane, ()
+
+    @property
+    def watched(self) -> frozenset[str]:
+        """Topics of the pane."""
+        return surroundings.watched(self._pane, self.parts.drive.scene.vehicle)
+
+    def _surroundings(self, state: PageState) -> dict[str, Any]:
+        """New scans or images of the pane."""
+        stamps, now_s = surroundings.stamps(state, self._pane), time.monotonic()
+        if stamps == self._sent_stamps or not stamps or now_s - self._sent_scans_s < SCANS_S:
+            return {}
+        self._sent_stamps, self._sent_scans_s = stamps, now_s
+        if self._pane == surroundings.SPACE:
+            return {"space": surroundings.space(state, self.texts)}
+        found = surroundings.camera(state, self._pane, self.texts)
+        return {} if found is None else {"camera": found}
+
+    def _pane_buttons(self) -> str:
+        names, found = {surroundings.MAP: self.texts("pane.map"), surroundings.SPACE: self.texts("pane.space")}, ""
+        for pane in surroundings.panes(self.parts.drive.scene.vehicle):
+            name = names.get(pane) or self.sensor_name(f"vehicle.sensors.{pane.replace('/', '.')}")
+            is_chosen = "true" if pane == surroundings.MAP else "false"
+            found += f'<button type="button" data-pane="{pane}" aria-pressed="{is_chosen}">{escape(name)}</button>'
+        return f'<div class="hl-panes" role="group" aria-label="{escape(self.texts("pane.label"))}">{found}</div>'
+
+    def _panes(self) -> str:
+        """3-D view and camera image, hidden until they are chosen."""
+        keys = "waiting", "failed", "space_label", "camera_label"
+        waiting, failed, space, camera = (escape(self.texts(f"pane.{key}")) for key in keys)
+        return (
+            f'<div id="space" class="hl-canvas" role="img" aria-label="{space}" hidden>'
+            f'<p id="space-note" data-failed="{failed}">{waiting}</p></div><div id="camera" class="hl-canvas" hidden>'
+            f'<canvas id="camera-image" role="img" aria-label="{camera}"></canvas>'
+            f'<p id="camera-note">{waiting}</p></div>'
+        )
 
     def _interrupted(self) -> str:
         """The newest mission that was interrupted, while no stored one is driven."""

@@ -49,11 +49,13 @@ class ViewMessage:
 class Feed(ABC):
     """Messages since the last call, in order; `now_ns` is the present time of the machine or of the log.
 
-    With `is_recording` every message that a calibration needs is among them, of scans the newest.
+    With `is_recording` every message that a calibration needs is among them, of scans the newest; of the topics
+    `watched`, scans and images that an open page shows, the newest.
     """
 
     now_ns: int = 0
     is_recording: bool = False
+    watched: frozenset[str] = frozenset()
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()  # messages since the start by topic, also of topics that are not shown

@@ -64,6 +64,14 @@ class View(ABC):
     async def act(self, action: str, values: Mapping[str, Any]) -> None:  # noqa: B027  a view may have no controls
         """Does what a control of the browser asks for, after the checks of session and seat; raises HeadlandError."""
 
+    def watch(self, pane: str) -> None:  # noqa: B027  a view may have none
+        """Shows another pane, for whoever may see the page."""
+
+    @property
+    def watched(self) -> frozenset[str]:
+        """Topics of scans and images that the page shows."""
+        return frozenset()
+
     def send(self, moment: Moment, sections: dict[str, Any], news: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Sends the sections that have changed, and `news`; an empty update shows the browser that the page lives."""
         changes: dict[str, Any] = dict(news)
@@ -113,6 +121,9 @@ class View(ABC):
         """An event of the browser: of an operator in control, or it has no effect."""
         values = event.args
         if not isinstance(values, dict) or not isinstance(values.get("action"), str):
+            return
+        if values["action"] == "watch":
+            self.watch(str(values.get("value")))
             return
         if values["action"] == "present":
             if not self.seat.why_not():
@@ -174,7 +185,8 @@ class View(ABC):
             for name in tools
         )
         return (
-            f'<div class="hl-canvas"><canvas id="map" role="img" aria-label="{escape(texts("map.label"))}"></canvas>'
+            f'<div id="map-pane" class="hl-canvas">'
+            f'<canvas id="map" role="img" aria-label="{escape(texts("map.label"))}"></canvas>'
             f'{content}<div class="hl-map-tools">{buttons}</div></div>'
         )
 

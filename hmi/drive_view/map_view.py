@@ -8,8 +8,7 @@ from configs.vehicle import outlines
 from geometry.arrays import Float64
 from geometry.polyline import simplified
 from geometry.pose2 import Pose2, to_frame
-from hmi.drive_view.row import number
-from hmi.drive_view.sensing import near_tracks
+from hmi.drive_view.sensing import near_tracks, track_text
 from hmi.page_state import PageState
 from hmi.scene import Scene
 from hmi.texts import Texts
@@ -64,11 +63,10 @@ def _tracks(state: PageState, pose: Pose2, texts: Texts) -> list[dict[str, Any]]
     for track, x_m, y_m in near_tracks(state):
         at = to_frame(pose, np.array([[x_m, y_m]]))[0]
         velocity = to_frame(Pose2(0.0, 0.0, turn_rad), track.velocity_mps[None, :2])[0]
-        speed = number(float(np.hypot(*velocity)), 1, "m/s")
         found.append({
             "at": _listed(at[None])[0], "size": [round(float(v), 2) for v in track.size_m[:2]],
             "yaw": round(float(track.yaw_rad) + turn_rad, 3), "velocity": _listed(velocity[None])[0],
-            "class": str(track.label), "text": f"{texts(f'class.{track.label}')} {speed}",
+            "class": str(track.label), "text": track_text(track, texts),
         })  # fmt: skip
     return found
 

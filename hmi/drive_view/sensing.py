@@ -67,6 +67,11 @@ def near_tracks(state: PageState) -> list[tuple[Track, float, float]]:
     return sorted(found, key=lambda one: math.hypot(*one[1:]))
 
 
+def track_text(track: Track, texts: Texts) -> str:
+    """Class and speed of an obstacle."""
+    return f"{texts(f'class.{track.label}')} {number(float(np.hypot(*track.velocity_mps[:2])), 1, 'm/s')}"
+
+
 def _direction(x_m: float, y_m: float) -> str:
     """Direction from the machine: ahead, left, right or behind, by quadrants about its axes."""
     if abs(y_m) <= abs(x_m):

@@ -213,6 +213,7 @@ window.headland = (() => {
 
   function update(shown) {
     window.headlandControls.update(shown);
+    if (shown.space || shown.camera) window.headlandSurroundings.update(shown);
     updatedMs = performance.now();
     if (updatedMs - answeredMs > ANSWER_MS) { answeredMs = updatedMs; window.headlandControls.send({action: "present"}); }
     if (shown.clear) { map.trail = []; map.edges = []; }

@@ -39,7 +39,8 @@ class LiveFeed(Feed):
                 is_whole = len(record) > 1 + record[0]  # others have the topic alone, to be counted
                 is_kept = self.is_recording and is_whole and is_recorded(topic)
                 is_viewed = self._views is not None and is_whole and self._views.needs(topic)
-                if is_shown(topic) or is_kept or is_viewed:
+                is_watched = is_whole and topic in self.watched
+                if is_shown(topic) or is_kept or is_viewed or is_watched:
                     self._sequence += 1
                     is_each = (
                         is_event(topic) or topic.startswith("can/") or (is_kept and not topic.startswith("lidar/"))

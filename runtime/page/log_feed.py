@@ -14,7 +14,8 @@ from messages.message import Envelope
 from messages.plan import Path
 from runtime.page.views import LogViews
 
-THIN_NS = 200_000_000  # between two messages of a topic that are kept
+THIN_NS = 200_000_000  # between two messages of a topic that are kept, and two times at which watched ones are read
+WATCH_NS = 2_500_000_000  # oldest scan or image that is shown: the log of `live` has a scan each 2 s
 HISTORY = ("odom", "map_pose", "machine", "supervisor")  # track, worked area and times need all of these
 STOPPED = frozenset({Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP})
 
@@ -32,7 +33,8 @@ class LogFeed(Feed):
     def __init__(self, path: pathlib.Path, has_views: bool = False) -> None:
         super().__init__()
         self._views = LogViews(path) if has_views else None
-        self._entries = list(kept_entries(path))
+        self._log = shown_log(path)
+        self._entries = list(kept_entries(self._log))
         self._times_ns = [entry.receive_ns for entry in self._entries]
         states = [entry for entry in self._entries if entry.topic == "supervisor"]
         if not states:
@@ -41,6 +43,7 @@ class LogFeed(Feed):
         length_s = (self._times_ns[-1] - self._start_ns) * 1e-9
         self._playback = Playback(length_s, tuple(self._stops(states)))
         self._next, self._polled_s, self._is_restarted = 0, monotonic(), False
+        self._read_ns, self._read, self._found = 0, frozenset[str](), dict[str, int]()
         self.now_ns = self._start_ns
 
     @property
@@ -61,10 +64,22 @@ class LogFeed(Feed):
         first, self._next = self._next, bisect_right(self._times_ns, self.now_ns)
         entries = self._entries[first : self._next]
         newest = {entry.topic: index for index, entry in enumerate(entries)}
-        return (
-            decode(entry) for index, entry in enumerate(entries)
+        kept = [
+            entry for index, entry in enumerate(entries)
             if entry.topic in HISTORY or is_event(entry.topic) or newest[entry.topic] == index
-        )  # fmt: skip
+        ]  # fmt: skip
+        return (decode(entry) for entry in [*kept, *self._watched_entries()])
+
+    def _watched_entries(self) -> Iterator[Entry]:
+        """Those scans and images at the present position that were not there at the last call."""
+        if self.watched == self._read and abs(self.now_ns - self._read_ns) < THIN_NS:
+            return
+        self._read_ns, self._read, before = self.now_ns, self.watched, self._found
+        entries = self._log.newest(self.watched, self.now_ns, WATCH_NS) if self.watched else {}
+        self._found = {topic: entry.receive_ns for topic, entry in entries.items()}
+        for topic, entry in entries.items():
+            if before.get(topic) != entry.receive_ns:
+                yield entry
 
     def take_restart(self) -> bool:
         """Whether the position was changed since the last call."""
@@ -91,10 +106,15 @@ class LogFeed(Feed):
             was_stopped = is_stopped
 
 
-def kept_entries(path: pathlib.Path) -> Iterator[Entry]:
-    """Entries of shown topics: every event, of the others one in `THIN_NS`, by time of reception."""
+def shown_log(path: pathlib.Path) -> LogScan:
+    """Pass over the shown topics of a log."""
+    return LogScan(path, _Shown())
+
+
+def kept_entries(log: Iterable[Entry]) -> Iterator[Entry]:
+    """Those entries of shown topics that are played: every event, of the others one in `THIN_NS`, by reception."""
     last_ns: dict[str, int] = {}
-    for entry in LogScan(path, _Shown()):
+    for entry in log:
         if not is_ours(entry):
             continue
         if not is_event(entry.topic) and 0 <= entry.receive_ns - last_ns.get(entry.topic, 0) < THIN_NS:

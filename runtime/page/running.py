@@ -13,7 +13,7 @@ from hmi.feed import is_event
 from messages.errors import HeadlandError, LogError
 from messages.message import Envelope
 from runtime.live.config import ROLES
-from runtime.page.log_feed import HISTORY, kept_entries
+from runtime.page.log_feed import HISTORY, kept_entries, shown_log
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def logged(folder: Path) -> Iterable[Envelope]:
     """Events, motion and modes that a running drive has logged so far."""
     path = folder / "log.mcap"
     try:
-        entries = list(kept_entries(path)) if path.is_file() else []
+        entries = list(kept_entries(shown_log(path))) if path.is_file() else []
     except LogError:
         entries = []
     return (decode(entry) for entry in entries if entry.topic in HISTORY or is_event(entry.topic))

@@ -26,7 +26,7 @@ from runtime.setup import Setup, start_notes
 from simulation.scenario import Scenario
 
 RING_MIB = 64
-SCAN_NS = 400_000_000  # between two scans of a lidar that a calibration may record
+SCAN_NS = 400_000_000  # between two scans of a lidar or images of a camera that a page may show or record
 LAG_S = 0.5  # a simulation that has fallen behind does not catch up more than this
 
 
@@ -58,11 +58,11 @@ def drive_in_one_process(
 
 
 def ring_sink(ring: RingWriter, has_views: bool = False) -> Callable[[Envelope], None]:
-    """Messages that the page shows or records, of the others the topic alone, which it counts; scans thinned.
+    """Messages that the page shows or records, of the others the topic alone, which it counts.
 
-    With `has_views` also what the viewer topics need.
+    Scans and images are thinned. With `has_views` also what the viewer topics need.
     """
-    thinned = SCHEMAS.keys() if has_views else {"lidar"}
+    thinned = SCHEMAS.keys() if has_views else {"lidar", "camera"}
     scanned_ns: dict[str, int] = {}
 
     def write(envelope: Envelope) -> None:

@@ -154,7 +154,7 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
     anna.click("#no_go:not([disabled])")
     wait_for(anna, "#hint", "no-go area.*0 so far")
     box = anna.locator("#map").bounding_box()
-    for k, (x, y) in enumerate(((0.60, 0.35), (0.70, 0.35), (0.70, 0.45), (0.60, 0.45))):
+    for k, (x, y) in enumerate(((0.45, 0.35), (0.53, 0.35), (0.53, 0.45), (0.45, 0.45))):
         anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
         wait_for(anna, "#hint", f"{k + 1} so far")
     anna.wait_for_selector("#rows-plan [data-key=length]")

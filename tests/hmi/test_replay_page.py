@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from tests.hmi.accessibility import low_contrasts, small_targets
@@ -183,3 +185,60 @@ def test_language_changes_in_place(page: Any) -> None:
     wait_for(page, "#rows-motion dt", "速度")
     page.click("#language")
     wait_for(page, "#rows-motion dt", "Speed")
+
+
+def pane(page: Any, name: str) -> None:
+    """Chooses what is shown in the place of the map."""
+    page.click(f"[data-pane='{name}']")
+    page.wait_for_selector(f"[data-pane='{name}'][aria-pressed=true]")
+
+
+def colors_of(page: Any, selector: str) -> int:
+    """Number of different colours in the picture of an element."""
+    picture = cv2.imdecode(np.frombuffer(page.locator(selector).screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    return len(np.unique(picture.reshape(-1, 3), axis=0))
+
+
+def test_points_machine_and_person_are_shown_in_3d(page: Any, browser: Browser) -> None:
+    """At the stop: thousands of points, the person with its name; turned by the pointer; the map comes back."""
+    set_paused(page, True)
+    seek_to(page, 24.0)
+    pane(page, "space")
+    page.wait_for_function("() => Number(document.getElementById('space').dataset.points) > 3000")
+    assert wait_for(page, "#space .hl-label", "^Person")
+    assert page.locator("#map").is_hidden()
+    assert colors_of(page, "#space") > 20
+    before = page.locator("#space .hl-label").first.bounding_box()
+    box = page.locator("#space").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"], steps=5)
+    page.mouse.up()
+    page.wait_for_timeout(500.0)
+    assert page.locator("#space .hl-label").first.bounding_box() != before
+    pane(page, "map")
+    assert page.locator("#map").is_visible()
+    assert page.locator("#space").is_hidden()
+    assert browser.errors == []
+
+
+def test_the_camera_image_has_boxes_of_the_obstacles(page: Any, browser: Browser) -> None:
+    set_paused(page, True)
+    seek_to(page, 24.0)
+    pane(page, "camera/front")
+    page.wait_for_function("() => Number(document.getElementById('camera').dataset.boxes) > 0")
+    page.wait_for_selector("#camera-note", state="hidden")
+    assert colors_of(page, "#camera-image") > 1000
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_panes_have_targets_and_contrast(browser: Browser, process: PageProcess, size: str) -> None:
+    page = browser.open(size, "zh-CN")
+    log_in(page, process)
+    for name in ("space", "camera/front"):
+        pane(page, name)
+        assert small_targets(page) == []
+        assert low_contrasts(page) == []
+        assert page.evaluate("() => document.documentElement.scrollWidth <= window.innerWidth")
+    page.context.close()
