@@ -132,6 +132,8 @@ COMMANDS = (
                 help="add or replace a user (view, operate, setup or service); password from standard input"),
         _option("--state", type=folder, metavar="FOLDER",
                 help="users, key, missions and statistics (default state/page)"),
+        _option("--config", type=file, metavar="FILE",
+                help="ports, log-in, notifications and upload (default configs/page.yaml)"),
         _out("page"),
     ), "2 wrong input or configuration, 130 and 143 ended by SIGINT and SIGTERM"),
     Command("shadow", "log a machine's CAN bus without sending", "runtime.commands.shadow", (

@@ -23,7 +23,7 @@ def main(arguments: argparse.Namespace) -> int:
         return _add_user(users, *arguments.add_user)
     if arguments.key is not None and arguments.connect is None:
         raise HeadlandError("--key: only with --connect; the simulation accepts the key of the page")
-    config = load(PageConfig, CONFIGS / "page.yaml")
+    config = load(PageConfig, arguments.config or CONFIGS / "page.yaml")
     ports = {"port": arguments.port, "stop_port": arguments.stop_port, "foxglove_port": arguments.foxglove}
     config = config.model_copy(update={name: number for name, number in ports.items() if number is not None})
     arguments.foxglove = config.foxglove_port

@@ -4,7 +4,6 @@ import base64
 import json
 import queue
 import socket
-import socketserver
 import threading
 import time
 from collections.abc import Iterator
@@ -25,34 +24,11 @@ from messages.command import Mode
 from messages.errors import ConfigError
 from messages.plan import MissionState
 from tests.hmi.drive_messages import NOW_NS, SECOND_NS, mission, state_of, supervisor
+from tests.hmi.mail_server import mail_server
 from tests.hmi.test_page_app import GivenFeed, app  # noqa: F401  the fixture
 
 GIVEN = Notification("tractor_e", "2026-11-25 12:00:00", "障碍停车", "Person in the path", "Operator: look there.")
 EMAIL = {"host": "127.0.0.1", "security": "none", "sender": "farm@example.org", "recipients": ["anna@example.org"]}
-
-
-class MailServer(socketserver.StreamRequestHandler):
-    """Takes mails by SMTP (RFC 5321)."""
-
-    def handle(self) -> None:
-        mails, data = self.server.mails, None  # type: ignore[attr-defined]
-        self.wfile.write(b"220 test\r\n")
-        while line := self.rfile.readline().decode():
-            if data is not None:
-                if line == ".\r\n":
-                    mails.put("".join(data))
-                    data = None
-                    self.wfile.write(b"250 taken\r\n")
-                else:
-                    data.append(line)
-            elif line.upper().startswith("DATA"):
-                data = []
-                self.wfile.write(b"354 go on\r\n")
-            elif line.upper().startswith("QUIT"):
-                self.wfile.write(b"221 bye\r\n")
-                return
-            else:
-                self.wfile.write(b"250 ok\r\n")
 
 
 class Hook(BaseHTTPRequestHandler):
@@ -71,13 +47,10 @@ class Hook(BaseHTTPRequestHandler):
         """Nothing is printed."""
 
 
-@pytest.fixture
-def mail_server() -> Iterator[Any]:
-    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), MailServer) as server:
-        server.mails = queue.Queue()  # type: ignore[attr-defined]
-        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+@pytest.fixture(name="mail_server")
+def running_mail_server() -> Iterator[Any]:
+    with mail_server() as server:
         yield server
-        server.shutdown()
 
 
 @pytest.fixture
