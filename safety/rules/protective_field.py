@@ -43,6 +43,7 @@ RULE = Rule(
         "near_field.min_height_m",
         "near_field.roughness_factor",
         "near_field.dense_factor",
+        "near_field.dense_width_m",
         "negative_obstacle.depth_m",
         "negative_obstacle.beneath_m",
         "negative_obstacle.fall",

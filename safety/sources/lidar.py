@@ -332,7 +332,7 @@ def warm(T_base_sensor: Float64) -> None:
     envelope(np.zeros((1, 1)), 0.0, 1)
     xyz, corner, shape = np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2)
     heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)
-    stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1)
+    stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1, 0.0)
     plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
     cell = cells_in_grid(xyz, corner, shape, 1.0)
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))

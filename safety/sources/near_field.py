@@ -70,7 +70,7 @@ def mark_low_obstacles(
         limits_m = min_height_m, dense_m, vegetation.margin_m
         is_obstacle[inside], is_plant[inside] = stand_out_of_cell(
             near_xyz, height_m, plants_m, (x_low, y_low), config.cell_m, limits_m,
-            (config.min_share, config.dense_share), config.dense_returns,
+            (config.min_share, config.dense_share), config.dense_returns, config.dense_width_m,
         )  # fmt: skip
         is_dense[inside] = is_obstacle[inside] & (height_m <= min_height_m)
     else:

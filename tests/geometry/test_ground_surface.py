@@ -160,10 +160,22 @@ def test_returns_stand_out_with_others_of_their_cell(heights: list[float], plant
     xyz[0, :n], xyz[1, :n], plants_m[1, 0] = 1.7, 0.2, plant_m
     height_m = np.array([*heights, 0.3])  # the last one is alone in its cell, without plants
     is_above, is_plant = stand_out_of_cell(
-        xyz, height_m, plants_m, (0.0, -0.1), 1.0, (0.15, 0.11, 0.05), (0.05, 0.5), 2
+        xyz, height_m, plants_m, (0.0, -0.1), 1.0, (0.15, 0.11, 0.05), (0.05, 0.5), 2, 0.0
     )
     assert is_above.tolist() == [*counts, True]
     assert is_plant.tolist() == [plant_m > 0.0 and h <= plant_m + 0.05 for h in heights] + [False]
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 30.0, 90.0])
+@pytest.mark.parametrize(("across_m", "counts"), [(0.01, False), (0.03, True)])
+def test_many_returns_of_one_line_do_not_stand_out(heading_deg: float, across_m: float, counts: bool) -> None:
+    """A ring along the top of a row of plants, and one on a body, in a cell at any heading."""
+    along, c, s = np.linspace(-0.2, 0.2, 16), np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+    across = across_m * np.where(np.arange(16) % 2 == 0, 1.0, -1.0)
+    xyz = np.array([40.5 + c * along - s * across, 0.5 + s * along + c * across, np.zeros(16)], np.float32)
+    limits = ((0.2, 0.11, 0.05), (0.05, 0.5), 6, 0.016)
+    is_above, _ = stand_out_of_cell(xyz, np.full(16, 0.15), np.zeros((2, 2)), (40.0, 0.0), 1.0, *limits)
+    assert is_above.all() == is_above.any() == counts
 
 
 def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:
