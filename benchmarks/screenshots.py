@@ -47,10 +47,13 @@ class Pictures:
                 page.context.add_cookies(cookies)
                 self._pages[f"{size}-{language}"] = page
 
-    def take(self, name: str, shown: str) -> None:
-        """Opens a view on one page after the other, waits for an element, and takes its picture."""
+    def take(self, name: str, shown: str, of_view: str = "", pane: str = "") -> None:
+        """Opens a view, by default that of the picture, on one page after the other, chooses a pane in the place of the
+        map, waits for an element, and takes its picture."""
         for key, page in self._pages.items():
-            page.goto(f"{self._url.rstrip('/')}{VIEWS[name]}?lang={key[-2:]}")
+            page.goto(f"{self._url.rstrip('/')}{VIEWS[of_view or name]}?lang={key[-2:]}")
+            if pane:
+                page.click(f"[data-pane='{pane}']")
             page.wait_for_selector(shown)
             page.wait_for_timeout(SETTLED_MS)
             self._take(page, f"{name}-{key}")
@@ -136,6 +139,8 @@ def drive(pictures: Pictures) -> None:
         wait_for(page, "[data-hl=answer]", "accepted")
     wait_for(page, "#rows-work [data-key=driven] dd", DRIVEN)
     pictures.take("drive", "#rows-machine [data-key=hitch]")
+    pictures.take("3d", "#space[data-points]", "drive", "space")
+    pictures.take("camera", "#camera[data-boxes]", "drive", "camera/front")
     page.frame_locator("iframe.hl-stop").locator("#emergency-stop").click()
     wait_for(page, "#mode", "Emergency stop")
     for name, table in (("diagnosis", "alarm_log"), ("statistics", "statistics")):
