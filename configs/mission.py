@@ -27,6 +27,9 @@ class Work(Config):
     gate_m: tuple[Coordinate, Coordinate] | None = Field(
         default=None, description="point in `map`: the gate is on the edge of the field file next to it"
     )
+    lane_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = Field(
+        default=(), description="points in `map` from the edge of the field file, where the gate is, to the yard"
+    )
     overlap_m: float = Field(ge=0.0, le=2.0)
     work_speed_kmh: Kmh
     turn_speed_kmh: Kmh
@@ -38,9 +41,11 @@ class Work(Config):
     )
 
     @model_validator(mode="after")
-    def _check_swaths(self) -> "Work":
+    def _check_lines(self) -> "Work":
         if self.swath_through_m is not None and self.swath_direction_deg is None:
             raise ValueError("swath_through_m: needs swath_direction_deg")
+        if self.lane_m and (len(self.lane_m) < 2 or self.gate_m is not None):
+            raise ValueError("lane_m: has two points at least, and no gate_m: the gate is where it leaves the field")
         if self.guidance is not None and self.swath_direction_deg is not None and self.swath_through_m is None:
             raise ValueError("guidance: gives the direction; leave out swath_direction_deg")
         return self

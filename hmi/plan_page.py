@@ -17,8 +17,10 @@ from hmi.refusal import Refused
 from hmi.scene import Scene
 from hmi.view import View
 
-AREAS = (("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("remove_areas", "plan.remove_areas"))
-RINGS = ("outline", "driven", "no_go")  # drawings that are closed
+AREAS = (
+    ("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("lane", "plan.lane"), ("remove_areas", "plan.remove_areas")
+)  # fmt: skip
+ENDED = ("outline", "driven", "no_go", "lane")  # drawings that are ended by a button
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
 SIDES = ("left", "right", "middle")  # of the implement, along the edge of a field that is recorded
@@ -57,6 +59,7 @@ class PlanPage(View):
         answer = self.answer or error or moment.drive_error or self.parts.progress_error
         self.send(moment, {
             "draft": desk.drawing.points_m if desk.drawing.kind else None,
+            "is_open": desk.drawing.kind == "lane",
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
                 "consent": self._consent(), "line": self._line(),
@@ -87,7 +90,7 @@ class PlanPage(View):
                 desk.draw("driven", self._side)
             case "side" if value in SIDES:
                 self._side = value
-            case "no_go" | "gate" | "ab":
+            case "no_go" | "gate" | "lane" | "ab":
                 desk.draw(action)
             case "a_plus":
                 desk.draw_a_plus(value)
@@ -167,6 +170,7 @@ class PlanPage(View):
         """State of each control by its id."""
         desk, options = self.parts.desk, self.parts.desk.options
         is_off = bool(barred) or desk.job is not None
+        is_too_short = len(desk.drawing.points_m) < desk.drawing.least_points
         heading = "" if options.heading_deg is None else f"{options.heading_deg:g}"
         headings = sorted({f"{h}" for h in HEADINGS} | {heading} - {""}, key=float)
         height = "" if options.consent is None else f"{100.0 * options.consent.vegetation_m:.0f}"
@@ -195,12 +199,13 @@ class PlanPage(View):
             "drive": {"off": is_off},
             "side": {"off": is_off, "value": self._side, "choices": [[n, self.texts(f"edge.{n}")] for n in SIDES]},
             "no_go": {"off": is_off or desk.outline is None}, "gate": {"off": is_off or desk.outline is None},
-            "remove_areas": {"off": is_off, "hidden": not desk.no_go_m and desk.gate_m is None},
+            "lane": {"off": is_off or desk.outline is None},
+            "remove_areas": {"off": is_off, "hidden": not (desk.no_go_m or desk.gate_m or desk.lane_m)},
             "ab": {"off": is_off or desk.outline is None}, "a_plus": {"off": is_off or desk.outline is None},
             "a_plus_deg": {"off": is_off or desk.outline is None},
             "remove_line": {"off": is_off, "hidden": options.through_m is None and options.guidance is None},
             "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate", "a_plus")},
-            "close": {"off": is_off or len(desk.drawing.points_m) < 3, "hidden": desk.drawing.kind not in RINGS},
+            "close": {"off": is_off or is_too_short, "hidden": desk.drawing.kind not in ENDED},
             "plan": {"off": is_off or desk.outline is None},
             "cancel": {"off": bool(barred), "hidden": desk.job is None},
             "mission-name": {"off": is_off or desk.plan is None or desk.stored is not None},

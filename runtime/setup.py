@@ -206,8 +206,8 @@ def _site(
 ) -> Site:
     work = mission.work
     if outline is None or work is None:
-        if work is not None and (work.no_go_m or work.gate_m is not None):
-            raise ConfigError("no_go_m, gate_m: belong to a field file; give the file by --field")
+        if work is not None and (work.no_go_m or work.gate_m is not None or work.lane_m):
+            raise ConfigError("no_go_m, gate_m, lane_m: belong to a field file; give the file by --field")
         return load(Site, find("sites", mission.site))
     return site_of(outline, vehicle, implement, work)
 

@@ -19,7 +19,6 @@ from hmi.plan_view.plan_result import PlanResult, read_result
 from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
 
-MIN_CORNERS = 3
 MIN_LINE_M, GUIDE_M = 1.0, 2000.0  # least distance of A and B; drawn to both sides of A
 MAX_FIELD_BYTES = 20_000_000
 MAX_FILES = 20
@@ -63,6 +62,7 @@ class PlanDesk:
         self.outline: dict[str, Any] | None = None
         self.no_go_m: tuple[Ring, ...] = ()  # besides those of the file
         self.gate_m: Point | None = None
+        self.lane_m: Ring = ()  # from the gate to the yard
         self.plan: PlanResult | None = None
         self.stored: StoredMission | None = None
 
@@ -95,7 +95,7 @@ class PlanDesk:
     def draw(self, kind: Kind, side: str = "") -> None:
         """Begins what is drawn by clicks, or by driving along the edge of the field with one side of the implement."""
         self._check_free()
-        if kind in ("no_go", "gate", "ab", "a_plus"):
+        if kind in ("no_go", "gate", "lane", "ab", "a_plus"):
             if self.outline is None:
                 raise Refused("no_field")
         else:
@@ -120,7 +120,7 @@ class PlanDesk:
         if self.drawing.kind == "gate":
             self._check_free()
             self.drawing = Drawing()
-            self._change(self.no_go_m, (round(x_m, 2), round(y_m, 2)))
+            self._change(self.no_go_m, (round(x_m, 2), round(y_m, 2)), ())
         elif self.drawing.kind in ("ab", "a_plus"):
             self._check_free()
             self.drawing.add(x_m, y_m)
@@ -169,19 +169,23 @@ class PlanDesk:
             self.drawing.points_m.pop()
 
     def remove_areas(self) -> None:
-        """Removes the drawn no-go areas and the chosen gate."""
+        """Removes the drawn no-go areas and lane, and the chosen gate."""
         self._check_free()
-        self._change((), None)
+        self._change((), None, ())
 
     async def close_drawing(self, datum: DatumConfig, name: str) -> None:
-        """The drawn corners become a field file, or an area to keep out of."""
+        """The drawn corners become a field file, an area to keep out of, or a lane."""
         self._check_free()
         drawing = self.drawing
-        if len(drawing.points_m) < MIN_CORNERS:
-            raise Refused("few_corners", number=len(drawing.points_m), least=MIN_CORNERS)
+        if len(drawing.points_m) < drawing.least_points:
+            raise Refused("few_corners", number=len(drawing.points_m), least=drawing.least_points)
         if drawing.kind == "no_go":
             self.drawing = Drawing()
-            self._change((*self.no_go_m, tuple(drawing.points_m)), self.gate_m)
+            self._change((*self.no_go_m, tuple(drawing.points_m)), self.gate_m, self.lane_m)
+            return
+        if drawing.kind == "lane":
+            self.drawing = Drawing()
+            self._change(self.no_go_m, None, tuple(drawing.points_m))
             return
         ring = []
         for x_m, y_m in (*drawing.points_m, drawing.points_m[0]):
@@ -193,9 +197,9 @@ class PlanDesk:
         if self.error:  # the corners can be corrected
             self.drawing = drawing
 
-    def _change(self, no_go_m: tuple[Ring, ...], gate_m: Point | None) -> None:
-        """Takes areas and gate; a plan without them is void."""
-        self.no_go_m, self.gate_m, self.plan, self.stored = no_go_m, gate_m, None, None
+    def _change(self, no_go_m: tuple[Ring, ...], gate_m: Point | None, lane_m: Ring) -> None:
+        """Takes areas, and a gate or a lane; a plan without them is void."""
+        self.no_go_m, self.gate_m, self.lane_m, self.plan, self.stored = no_go_m, gate_m, lane_m, None, None
         self._redraw()
 
     def _redraw(self) -> None:
@@ -204,12 +208,14 @@ class PlanDesk:
 
     @property
     def shown_outline(self) -> dict[str, Any] | None:
-        """Outline for the map, with the drawn areas, and the gate as a point."""
+        """Outline for the map, with the drawn areas and lane, and the gate as a point."""
         outline = self.outline
         if outline is None:
             return None
         gates = [[self.gate_m, self.gate_m]] if self.gate_m is not None else outline["gates"]
-        return outline | {"no_go": [*outline["no_go"], *self.no_go_m], "gates": gates, "guide": self.guide}
+        lanes = [self.lane_m] if self.lane_m else outline["lanes"]
+        no_go = [*outline["no_go"], *self.no_go_m]
+        return outline | {"no_go": no_go, "gates": gates, "lanes": lanes, "guide": self.guide}
 
     def set_option(self, name: str, value: str, by: str) -> None:
         """Changes an option, by a person; a plan with other ones is void."""
@@ -235,7 +241,8 @@ class PlanDesk:
             raise Refused("no_field")
         self.plan, self.stored, self.error = None, None, ""
         (self.draft / PLAN).unlink(missing_ok=True)
-        work = self.work().model_copy(update={"no_go_m": self.no_go_m, "gate_m": self.gate_m})
+        drawn = {"no_go_m": self.no_go_m, "gate_m": self.gate_m, "lane_m": self.lane_m}
+        work = self.work().model_copy(update=drawn)
         write_mission(self.options.mission(self.name, work), self.draft / MISSION)
         draft = self.draft
         if await self._run("plan", draft) is not None:
@@ -289,7 +296,7 @@ class PlanDesk:
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
         self.outline = {name: lines for name, lines in self.plan.map.items() if name not in ("sections", "guide")}
-        self.no_go_m, self.gate_m = work.no_go_m, work.gate_m
+        self.no_go_m, self.gate_m, self.lane_m = work.no_go_m, work.gate_m, work.lane_m
         drawn = len(work.no_go_m)  # the last areas of the site; they are drawn from the mission
         self.outline["no_go"] = self.outline["no_go"][: len(self.outline["no_go"]) - drawn]
         self.stored = stored

@@ -10,10 +10,10 @@ from geometry.pose2 import Pose2, to_frame
 from hmi.page_state import PageState
 from messages.motion import MapPose, Odometry
 
-Kind = Literal["", "outline", "driven", "no_go", "gate", "ab", "a_plus"]
+Kind = Literal["", "outline", "driven", "no_go", "gate", "lane", "ab", "a_plus"]
 Point = tuple[float, float]
 Ring = tuple[Point, ...]
-MAX_POINTS = 500
+MAX_POINTS, MIN_CORNERS, MIN_LANE = 500, 3, 2
 STEP_M = 1.0  # between two points of a driven edge
 STRAIGHT_M, SIDE_M = 0.05, 50.0  # a point so near to the line of its neighbours is left out, on sides up to this length
 MAX_LEVEL_M = 0.5  # protection level of a position that is recorded
@@ -30,6 +30,11 @@ class Drawing:
     side: str = ""
     points_m: list[Point] = field(default_factory=list)
     heading_deg: float = 0.0
+
+    @property
+    def least_points(self) -> int:
+        """Fewest points of what is drawn."""
+        return MIN_LANE if self.kind == "lane" else MIN_CORNERS
 
     def add(self, x_m: float, y_m: float) -> None:
         """Adds a corner, up to `MAX_POINTS`."""

@@ -6,7 +6,7 @@ window.headland = (() => {
   const SECTION_COLORS = {swath: "#1d4ed8", headland: "#0b4a23", turn: "#7a8594", lane: "#5b3a1e", detour: "#b45a00", dock: "#5b3a1e"};
   const CLICK_PX = 6; // a longer movement of the pointer moves the map
   const COLORS = {person: "#8a3b00", animal: "#5b2a86"};
-  const map = {still: null, moving: null, paths: [], trail: [], edges: [], scale: 7, follow: true, center: [0, 0], draft: null};
+  const map = {still: null, moving: null, paths: [], trail: [], edges: [], scale: 7, follow: true, center: [0, 0], draft: null, isOpen: false};
   const ANSWER_MS = 1000; // between two answers to updates: this page is there
   let updatedMs = performance.now(), answeredMs = 0;
 
@@ -156,7 +156,7 @@ window.headland = (() => {
   }
 
   function drawDraft(context, toPx) { // outline that is drawn, with its corners
-    stroke(context, map.draft, toPx, "#7a0010", 3, true, [10, 5]);
+    stroke(context, map.draft, toPx, "#7a0010", 3, !map.isOpen, [10, 5]);
     map.draft.forEach((corner) => {
       const [x, y] = toPx(corner);
       context.fillStyle = "#7a0010"; context.beginPath(); context.arc(x, y, 7, 0, 2 * Math.PI); context.fill();
@@ -218,6 +218,7 @@ window.headland = (() => {
     if (updatedMs - answeredMs > ANSWER_MS) { answeredMs = updatedMs; window.headlandControls.send({action: "present"}); }
     if (shown.clear) { map.trail = []; map.edges = []; }
     if (shown.still) showStill(shown.still);
+    if (shown.is_open !== undefined) map.isOpen = shown.is_open;
     if (shown.draft !== undefined) {
       if (shown.draft && !map.draft) byId("map").scrollIntoView({block: "nearest"}); // it waits for clicks
       map.draft = shown.draft;

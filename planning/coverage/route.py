@@ -33,6 +33,7 @@ from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, st
 from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
+LEAST_RADIUS_SHARE = 0.95  # of the radius of the rig, in corners of a lane: a fillet in steps is 1 % sharper
 FILLINGS = 3  # times that what a tour leaves bare gets swaths, at most
 
 
@@ -180,6 +181,15 @@ def _return(connector: PathConnector, tour: Tour, lane: Leg) -> list[RoutePiece]
 
 
 def _check_lane(connector: PathConnector, lane: Leg) -> None:
+    """Raises FieldError for a lane on which the rig does not fit, or which turns more sharply than it can."""
+    k, radius_m = int(np.argmax(np.abs(lane.curvature_radpm))), connector.rig.radius_m
+    sharpest_m = 1.0 / max(abs(float(lane.curvature_radpm[k])), 1e-9)
+    if sharpest_m < LEAST_RADIUS_SHARE * radius_m:
+        where = describe(connector.drivable.site, *map(float, lane.p_map_m[k]))
+        raise FieldError(
+            f"the lane turns with a radius of {sharpest_m:.1f} m at {where}, the rig needs {radius_m:.1f} m: "
+            "draw its corners further apart or less sharp"
+        )
     for heading in (lane.heading_rad, lane.heading_rad + np.pi):
         outside = connector.space.touching(lane.p_map_m, heading)
         if outside.any():

@@ -19,6 +19,9 @@ from planning.field.drivable_area import wide_parts
 from planning.field.field import FieldOutline
 
 LANE_M = 25.0
+STRAIGHT_M = 6.0  # of a drawn lane, before the gate
+LEAST_STEP_M = 1.0  # between two points of it
+IN_YARD_M = 4.0  # length of a lane there
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
@@ -36,6 +39,12 @@ def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work:
     """
     if (site := site_around(outline, vehicle, implement, work)) is not None:
         return site
+    if work.lane_m:
+        (x, y), (u, v) = work.lane_m[0], work.lane_m[-1]
+        raise FieldError(
+            f"field {outline.name!r}: no room for gate, lane and yard from x {x:.1f}, y {y:.1f} to x {u:.1f}, "
+            f"y {v:.1f}: lane and yard lie outside of the field and of no-go areas"
+        )
     if work.gate_m is not None:
         x, y = work.gate_m
         raise FieldError(f"field {outline.name!r}: no room for gate and yard at the edge next to x {x:.1f}, y {y:.1f}")
@@ -69,14 +78,22 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
     room = _room(outline, _extent(vehicle, implement)[2], work)
-    for a, b, share in _gate_places(outline.polygon, work.gate_m, gate_m):
+    drawn = _from_the_field(outline.polygon, np.array(work.lane_m)) if work.lane_m else np.empty((0, 2))
+    chosen_m = (float(drawn[0, 0]), float(drawn[0, 1])) if len(drawn) else work.gate_m
+    for a, b, share in _gate_places(outline.polygon, chosen_m, gate_m):
         if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
             continue
-        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m)
+        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m, drawn)
         is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
         if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
             return site
     return None
+
+
+def _from_the_field(polygon: Polygon, drawn_m: Float64) -> Float64:
+    """Points (N, 2) of a lane in the order away from the field, whichever way they were drawn."""
+    first, last = (polygon.exterior.distance(shapely.Point(drawn_m[k])) for k in (0, -1))
+    return drawn_m if first <= last else drawn_m[::-1]
 
 
 def _gate_places(
@@ -163,29 +180,50 @@ def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
     return sorted(edges, key=lambda e: (-round(float(np.hypot(*(e[1] - e[0]))), 3), float(e[0][0]), float(e[0][1])))
 
 
-def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float) -> Site:
+def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64) -> Site:
+    """Site with a gate at the middle of an edge, and a straight lane or a drawn one (N, 2), away from the field."""
     out = np.array([along[1], -along[0]])  # the field is left of its edge
 
-    def at(sideways: float, outwards: float) -> Point:
-        x, y = middle + sideways * along + outwards * out
+    def at(origin: Float64, sideways: float, aside: Float64, outwards: float, ahead: Float64) -> Point:
+        x, y = origin + sideways * aside + outwards * ahead
         return round(float(x), 3), round(float(y), 3)
 
-    half, wide = gate_m / 2.0, gate_m / 2.0 + 6.0
-    near, far = LANE_M, LANE_M + YARD_DEPTH_M
-    start = at(0.0, far - 8.0)
-    heading = math.degrees(math.atan2(-out[1], -out[0]))
+    def post(sideways: float) -> Point:
+        return at(middle, sideways, along, POSTS_OUT_M, out)
+
+    lane, end, ahead = _lane(middle, out, drawn_m)
+    aside = np.array([-ahead[1], ahead[0]])
+    half, wide, near = gate_m / 2.0, gate_m / 2.0 + 6.0, -IN_YARD_M
+    far = near + YARD_DEPTH_M
+    start = at(end, 0.0, aside, far - 8.0, ahead)
+    corners = ((-wide, near), (-wide, far), (wide, far), (wide, near))
+    points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - INTO_FIELD_M * out)]
     return Site(
         name=outline.name,
         version=1,
         datum=outline.datum,
         boundary_m=_points(outline.polygon.exterior),
         no_go=_no_go(outline, outline.polygon),
-        lanes=(Lane(name="lane", center_m=(at(0.0, near + 4.0), at(0.0, -INTO_FIELD_M)), width_m=gate_m),),
-        gates=(Gate(name="gate", posts_m=(at(-half, POSTS_OUT_M), at(half, POSTS_OUT_M))),),
-        yard=Area(name="yard", outline_m=(at(-wide, near), at(-wide, far), at(wide, far), at(wide, near))),
-        start=PoseConfig(x_m=start[0], y_m=start[1], heading_deg=heading),
+        lanes=(Lane(name="lane", center_m=tuple(points), width_m=gate_m),),
+        gates=(Gate(name="gate", posts_m=(post(-half), post(half))),),
+        yard=Area(name="yard", outline_m=tuple(at(end, s, aside, o, ahead) for s, o in corners)),
+        start=PoseConfig(x_m=start[0], y_m=start[1], heading_deg=math.degrees(math.atan2(-ahead[1], -ahead[0]))),
         is_fenced=False,
     )
+
+
+def _lane(middle: Float64, out: Float64, drawn_m: Float64) -> tuple[list[Float64], Float64, Float64]:
+    """Points of a lane away from the gate, its end, and the direction there; it is straight before the gate."""
+    if len(drawn_m) == 0:
+        end = middle + (LANE_M + IN_YARD_M) * out
+        return [end], end, out
+    lane = [middle + STRAIGHT_M * out]
+    for point in drawn_m:
+        is_beyond = len(lane) > 1 or (point - middle) @ out > STRAIGHT_M + LEAST_STEP_M
+        if is_beyond and np.hypot(*(point - lane[-1])) >= LEAST_STEP_M:
+            lane.append(point)
+    before = middle if len(lane) == 1 else lane[-2]
+    return lane, lane[-1], (lane[-1] - before) / np.hypot(*(lane[-1] - before))
 
 
 def _meets_no_go(site: Site, outline: FieldOutline) -> bool:
@@ -198,10 +236,10 @@ def _meets_no_go(site: Site, outline: FieldOutline) -> bool:
 def _is_clear(site: Site, field: Polygon) -> bool:
     """True if lane and yard are outside the field, except the end of the lane, which is inside."""
     full = Polygon(field.exterior)
-    lane = LineString(site.lanes[0].center_m)
-    start, end = (np.array(p) for p in (lane.coords[0], lane.coords[-1]))
-    edge = end - (end - start) / np.hypot(*(end - start)) * INTO_FIELD_M
-    outside = LineString([start, edge - (end - start) / np.hypot(*(end - start)) * 0.5])
+    *others, end = (np.array(p) for p in site.lanes[0].center_m)
+    inwards = (end - others[-1]) / np.hypot(*(end - others[-1]))
+    edge = end - inwards * INTO_FIELD_M
+    outside = LineString([*others, edge - inwards * 0.5])
     corridor = outside.buffer(site.lanes[0].width_m / 2.0, cap_style="flat")
     inside = LineString([edge, end]).buffer(site.lanes[0].width_m / 2.0 - 0.05, cap_style="flat")
     beyond = shapely.union_all([corridor, Polygon(site.yard.outline_m)])

@@ -173,6 +173,43 @@ def test_drawn_corners_become_a_field_at_the_same_place(tmp_path: Path) -> None:
     asyncio.run(drive())
 
 
+def test_a_lane_is_drawn_from_the_gate_to_the_yard(tmp_path: Path) -> None:
+    """It takes the place of a gate, is planned, stored and opened again; one with a single point is none."""
+    lane = ((80.0, 0.0), (80.0, -25.0), (110.0, -45.0))
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        await desk.load({"a.geojson": geojson(corner_field(160.0))})
+        desk.draw("gate")
+        desk.add_point(40.0, -3.0)
+        desk.draw("lane")
+        desk.add_point(*lane[0])
+        with pytest.raises(Refused, match="few_corners"):
+            await desk.close_drawing(DATUM, "not a field")
+        for point in lane[1:]:
+            desk.add_point(*point)
+        await desk.close_drawing(DATUM, "not a field")
+        assert (desk.lane_m, desk.gate_m, desk.drawing.kind) == (lane, None, "")
+        shown = desk.shown_outline
+        assert shown is not None
+        assert shown["lanes"] == [lane]
+        await desk.make_plan()
+        assert desk.error == ""
+        assert desk.plan is not None
+        ((*_, end),) = desk.plan.map["lanes"]
+        assert end == pytest.approx([80.0, 6.0], abs=0.6)
+        stored = desk.store_mission("with lane", "anna")
+        desk.remove_areas()
+        assert desk.lane_m == ()
+        desk.reopen(stored.id)
+        assert desk.lane_m == lane
+        desk.draw("gate")
+        desk.add_point(40.0, -3.0)
+        assert (desk.lane_m, desk.gate_m) == ((), (40.0, -3.0))
+
+    asyncio.run(drive())
+
+
 def test_no_go_areas_and_gate_belong_to_the_mission(tmp_path: Path) -> None:
     """They are drawn on the field of a file, planned, stored and opened again; a change makes the plan void."""
     area = ((40.0, 60.0), (55.0, 60.0), (55.0, 75.0), (40.0, 75.0))

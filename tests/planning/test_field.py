@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, Point, Polygon
 
-from configs.mission import Mission
-from configs.strict import find, load
+from configs.mission import Mission, Work
+from configs.strict import find, load, parse
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
-from messages.errors import FieldError
+from messages.errors import ConfigError, FieldError
 from planning.config import PlanningConfig
 from planning.field.field import read_field
 from planning.field.site_generation import site_around, site_of
@@ -126,6 +126,66 @@ def test_gate_away_from_a_no_go_area(
     moved = site_around(replace(outline, no_go=(("water", pond),)), vehicle, harrow, mission.work)
     assert moved is not None
     assert pond.distance(LineString(moved.lanes[0].center_m)) >= moved.lanes[0].width_m / 2.0
+
+
+LANE = ((35.0, 0.0), (35.0, -22.0), (62.0, -40.0))  # from the lower edge, then to the right
+
+
+def with_lane(mission: Mission, lane_m: tuple[tuple[float, float], ...]) -> Work:
+    assert mission.work is not None
+    return mission.work.model_copy(update={"lane_m": lane_m})
+
+
+def test_gate_lane_and_yard_are_where_a_lane_is_drawn(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """The gate is at its begin, the yard and the start at its end; the machine comes by it and leaves by it."""
+    outline = read_field(write(tmp_path, polygon(SQUARE)))
+    site = site_of(outline, vehicle, harrow, with_lane(mission, LANE))
+    assert np.mean(site.gates[0].posts_m, axis=0) == pytest.approx((35.0, -0.5), abs=0.01)
+    assert site.lanes[0].center_m[0] == (62.0, -40.0)
+    assert site.lanes[0].center_m[-1] == pytest.approx((35.0, 6.0), abs=0.01)
+    assert Polygon(site.yard.outline_m).contains(Point(site.start.x_m, site.start.y_m))
+    assert site.start.heading_deg == pytest.approx(np.degrees(np.arctan2(18.0, -27.0)))  # towards the field
+    plan = plan_field(site, vehicle, harrow, with_lane(mission, LANE), planning.planner, 0)
+    way = np.vstack([path.p_map_m for path in plan.paths])
+    for corner, off_m in (((62.0, -40.0), 0.1), ((35.0, -10.0), 0.1), ((35.0, -22.0), 2.0)):
+        assert np.hypot(*(way - corner).T).min() < off_m
+    assert plan.planned_share > 0.8
+    assert site_of(outline, vehicle, harrow, with_lane(mission, LANE[::-1])) == site
+
+
+@pytest.mark.parametrize(
+    "lane",
+    [
+        ((35.0, 0.0), (35.0, -20.0), (90.0, -20.0), (60.0, 40.0)),  # comes back over the field
+        ((35.0, 0.0), (60.0, -14.0), (90.0, -6.0), (75.0, 10.0)),  # the yard meets it
+    ],
+)
+def test_a_lane_without_room_is_refused_with_its_place(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, lane: tuple[tuple[float, float], ...]
+) -> None:
+    outline = read_field(write(tmp_path, polygon(SQUARE)))
+    with pytest.raises(FieldError, match=r"no room for gate, lane and yard from x \d"):
+        site_of(outline, vehicle, harrow, with_lane(mission, lane))
+
+
+def test_a_lane_too_sharp_for_the_rig_is_refused(
+    tmp_path: Path, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    work = with_lane(mission, ((35.0, 0.0), (35.0, -30.0), (40.0, -18.0), (48.0, -60.0)))
+    site = site_of(read_field(write(tmp_path, polygon(SQUARE))), vehicle, harrow, work)
+    with pytest.raises(FieldError, match=r"radius of [\d.]+ m at x \d+.*the rig needs 5.0 m"):
+        plan_field(site, vehicle, harrow, work, planning.planner, 0)
+
+
+@pytest.mark.parametrize(
+    "more", [{"lane_m": [[35.0, 0.0]]}, {"lane_m": [[35.0, 0.0], [35.0, -9.0]], "gate_m": [1.0, 0.0]}]
+)
+def test_a_lane_has_two_points_and_its_own_gate(mission: Mission, more: dict[str, Any]) -> None:
+    assert mission.work is not None
+    with pytest.raises(ConfigError, match="lane_m"):
+        parse(Work, mission.work.model_dump(mode="json") | more, "work")
 
 
 @pytest.mark.parametrize("latitude", [89.9999, 90.0, -90.0])
