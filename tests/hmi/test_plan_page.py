@@ -172,6 +172,28 @@ def test_no_go_area_and_gate_are_placed_by_clicks(anna: Any, folder: Path) -> No
     anna.wait_for_selector("#remove_areas", state="hidden")
 
 
+def test_a_lane_is_drawn_by_clicks(anna: Any, folder: Path) -> None:
+    """From the edge of the field to the yard; the plan comes by it."""
+    (folder / "lane.geojson").write_bytes(geojson(name="field with lane"))
+    load(anna, folder / "lane.geojson")
+    wait_for(anna, "#hint", "^field with lane$")
+    for _ in range(2):
+        anna.click("#map-smaller")
+    anna.click("#lane:not([disabled])")
+    wait_for(anna, "#hint", "lane from the edge.*0 so far")
+    box = anna.locator("#map").bounding_box()
+    for k, (x, y) in enumerate(((0.5, 0.7), (0.5, 0.82), (0.58, 0.93))):
+        assert anna.locator("#close").is_disabled() == (k < 2)
+        anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        wait_for(anna, "#hint", f"{k + 1} so far")
+    anna.click("#close")
+    wait_for(anna, "#hint", "^field with lane$")
+    planned(anna)
+    assert "yard" in wait_for(anna, "#rows-plan [data-key=gate] dd", "yard")
+    anna.click("#remove_areas:not([disabled])")
+    anna.wait_for_selector("#remove_areas", state="hidden")
+
+
 def test_rows_follow_a_guidance_line_that_is_drawn(anna: Any) -> None:
     """BD-4.2b: AB by two clicks, A+ by its heading and one."""
     box = anna.locator("#map").bounding_box()
