@@ -96,11 +96,14 @@ class LogScan:
                 break
             if chunk.start_ns > at_ns:
                 continue
+            newest: dict[str, Entry] = {}
             schemas, channels = self._known[path]
-            messages = (one for one in messages_of(path, chunk) if one.channel_id in channels)
-            entries = [entry_of(one, channels[one.channel_id], schemas) for one in messages]
-            in_time = (one for one in entries if one.topic in wanted and 0 <= at_ns - one.receive_ns <= within_ns)
-            found = {one.topic: one for one in in_time} | found
+            of_topic = {number: channel for number, channel in channels.items() if channel.topic in wanted}
+            for one in messages_of(path, chunk):
+                channel = of_topic.get(one.channel_id)
+                if channel is not None and 0 <= at_ns - one.receive_ns <= within_ns:
+                    newest[channel.topic] = entry_of(one, channel, schemas)
+            found = newest | found
         return found
 
     def _entries_of(self, path: Path) -> Iterator[Entry]:

@@ -240,5 +240,5 @@ window.headland = (() => {
     document.body.classList.toggle("hl-stale", lost && !lost.hidden);
   }, 250);
 
-  return {update};
+  return {update, COLORS};
 })();

@@ -3,7 +3,7 @@
 window.headlandSurroundings = (() => {
   const CAPACITY = 16384; // points
   const HEIGHTS = [[0.12, "#8a7a5c"], [0.5, "#1f6fb0"], [Infinity, "#0b2f6f"]]; // upper end (m) and colour of points
-  const COLORS = {person: "#8a3b00", animal: "#5b2a86"}, OTHER = "#333333", FIELD = "#a30014", MACHINE = ["#2c6e3f", "#7a5a2a"];
+  const COLORS = window.headland.COLORS, OTHER = "#333333", FIELD = "#a30014", MACHINE = ["#2c6e3f", "#7a5a2a"];
   const byId = (id) => document.getElementById(id);
   let pane = "map", space = null, camera = null;
 
