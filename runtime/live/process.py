@@ -1,5 +1,6 @@
 """Processes of `headland live`: world, nodes and sinks of each role."""
 
+import ctypes
 import gc
 import os
 import secrets
@@ -36,6 +37,8 @@ from runtime.setup import Setup
 from simulation.rendering.materials import build_actor_surfaces
 from simulation.scenario import Scenario
 from simulation.world import Rendering
+
+M_MMAP_THRESHOLD, LARGE_BYTES = -3, 128 << 10  # <malloc.h>: scans and images go back to the system when they are freed
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,7 @@ def _parts(start: Start) -> Iterator[tuple[World, list[Node], list[Any]]]:
         with _machine(start) as world:
             yield world, [], []
     elif start.role == "log":
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
         config = start.setup.stack.datasets.log
         thinned = start.config.thinned_log
         metadata = start.metadata | {THINNED: {"left_out": ", ".join(thinned.left_out)}}

@@ -1,6 +1,9 @@
 """Ring buffer in shared memory with one writer and any number of readers, all non-blocking.
 
 A reader that is too slow, was halted or meets a half-written record skips the overwritten records and counts the loss.
+The writer goes back to the start at the end of the memory, or earlier: after `LAP_BYTES` and four times what it wrote
+in the last `PERIOD_S`. Pages are allocated when first written, and a large ring with few messages would take new ones
+for hours.
 
     0        8          16..64   64                                        64 + size
     | written | heartbeat | free | ...| length crc record |...| length crc record |
@@ -16,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 HEAD_BYTES = 64
+LAP_BYTES, PERIOD_S = 1 << 20, 10.0
 _RECORD = struct.Struct("<II")
 _WRAP = 0xFFFFFFFF
 _WRITTEN, _BEAT = 0, 1
@@ -48,16 +52,26 @@ def make_ring(path: Path, size: int) -> None:
 class RingWriter(_Ring):
     """Writer of a ring."""
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._period_ns, self._period_began, self._recent_began = 0, 0, 0
+
     def write(self, record: bytes) -> None:
         """Appends a record; raises ValueError for one larger than a quarter of the ring."""
         if 4 * len(record) > self._size:
             raise ValueError(f"a record of {len(record)} bytes in a ring of {self._size}")
         written = int(self._head[_WRITTEN])
         needed = _padded(len(record))
-        left = self._size - written % self._size
-        if left < needed:
+        offset = written % self._size
+        left = self._size - offset
+        if self._head[_BEAT] - self._period_ns > PERIOD_S * 1e9:
+            self._recent_began, self._period_began = self._period_began, written
+            self._period_ns = int(self._head[_BEAT])
+        recent = written + needed - self._recent_began  # of this period and the one before
+        if left < needed or offset >= max(LAP_BYTES, 4 * recent):
             self._put(written, _RECORD.pack(_WRAP, 0))
             written += left
+            self._period_began, self._recent_began = self._period_began + left, self._recent_began + left
         self._put(written, _RECORD.pack(len(record), zlib.crc32(record)) + record)
         self._head[_WRITTEN] = written + needed
 

@@ -22,7 +22,7 @@ from messages.timing import NodeTiming
 from runtime.live.can_bus import LOOPBACK, PunctualBus, named_bus, open_bus
 from runtime.live.clock import Clock
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
-from runtime.live.ring import RingReader, RingWriter, make_ring
+from runtime.live.ring import LAP_BYTES, RingReader, RingWriter, make_ring
 from runtime.live.serialization import pack, unpack
 from runtime.live.shadow import Listener
 
@@ -45,6 +45,24 @@ def test_ring_order_over_many_wraps(ring: Path) -> None:
             writer.write(record)
         assert list(reader.records()) == sent
     assert reader.lost == 0
+
+
+def test_a_large_ring_with_few_messages_takes_no_more_memory(tmp_path: Path) -> None:
+    path = tmp_path / "large"
+    make_ring(path, 64 << 20)
+    writer, reader = RingWriter(path), RingReader(path)
+    random = np.random.default_rng(2)
+    taken = []
+    for k in range(400):
+        writer.beat(k * 10_000_000_000)
+        sent = [random.bytes(3_000_000 if k in (50, 51) else 20_000) for _ in range(5)]
+        for record in sent:
+            writer.write(record)
+        assert list(reader.records()) == sent
+        taken.append(path.stat().st_blocks * 512)
+    assert reader.lost == 0
+    assert LAP_BYTES <= taken[49] < 2 * LAP_BYTES
+    assert taken[-1] == taken[60] < 40e6
 
 
 def test_slow_reader_counts_loss_and_continues(ring: Path) -> None:
