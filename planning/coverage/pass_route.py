@@ -1,6 +1,6 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ STRIDE = 25  # points of a pass between two candidates, 2.5 m
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
-MAX_ENTRIES, MAX_LINKS, THOROUGH, THOROUGH_NEAR = 10, 6, 8, 2
+MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 10, 6, 12, 8, 2
 NO_LINK_S = 100.0
 NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
 
@@ -45,17 +45,20 @@ class _Entry:
         return 0.0 if self.turn is None else self.turn.way.time_s
 
 
-def drive_passes(connector: PathConnector, start: Pose2) -> PassDrive:
-    """Drives the closed passes, from each to the one inside it first.
+def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2]) -> PassDrive:
+    """Drives the closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
 
-    A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge.
+    A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge. One that
+    cannot be left for another pass or a goal is not driven.
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
         ring, entries = left[number]
-        best = _best(connector, last, ring, entries, left[number + 1][1] if number + 1 < len(left) else [])
+        following = left[number + 1][1] if number + 1 < len(left) else []
+        others = [*goals, *(e.start for other, them in left if other is not ring for e in them)]
+        best = _best(connector, last, ring, entries, following, others)
         if best is None:
             number += 1
             continue
@@ -91,8 +94,9 @@ def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> H
 
 
 def _best(
-    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry], following: list[_Entry]
-) -> tuple[Connection, _Entry] | None:
+    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry], following: list[_Entry],
+    others: Sequence[Pose2],
+) -> tuple[Connection, _Entry] | None:  # fmt: skip
     """Connection to the entry of least time together with the connection from there to the next pass."""
     order = _by_time(connector, last, entries)
     found: list[tuple[float, int, Connection]] = []
@@ -100,12 +104,11 @@ def _best(
         connection = _link(connector, last, entries[n])
         if connection is None:
             continue
-        onwards_s = 0.0
-        if following:
-            near = _by_time(connector, entries[n], following)[:MAX_LINKS]
-            links = ((_link(connector, entries[n], following[k]), following[k].saved_s) for k in near)
-            onwards_s = min((link.time_s - saved_s for link, saved_s in links if link is not None), default=NO_LINK_S)
-        found.append((round(connection.time_s - entries[n].saved_s + onwards_s, 6), n, connection))
+        onwards_s = _onwards_s(connector, entries[n], following)
+        if onwards_s == NO_LINK_S and not _is_left(connector, entries[n], others):
+            continue
+        cost_s = connection.time_s - entries[n].saved_s + (onwards_s if following else 0.0)
+        found.append((round(cost_s, 6), n, connection))
         if len(found) == MAX_ENTRIES:
             break
     if found:
@@ -114,9 +117,26 @@ def _best(
     tried = [*order[:THOROUGH_NEAR], *_nearest_to_others(connector, ring, entries)[:THOROUGH]]
     for n in dict.fromkeys(tried):
         found_along = connector.find(connector.request(last.end, entries[n].start))
-        if found_along is not None:
+        if found_along is not None and _is_left(connector, entries[n], others):
             return found_along, entries[n]
     return None
+
+
+def _onwards_s(connector: PathConnector, entry: _Entry, following: list[_Entry]) -> float:
+    """Least time of a turn from the end of a drive over a pass to the next pass, `NO_LINK_S` without any."""
+    if not following:
+        return NO_LINK_S
+    near = _by_time(connector, entry, following)[:MAX_LINKS]
+    links = ((_link(connector, entry, following[k]), following[k].saved_s) for k in near)
+    return min((link.time_s - saved_s for link, saved_s in links if link is not None), default=NO_LINK_S)
+
+
+def _is_left(connector: PathConnector, entry: _Entry, goals: Sequence[Pose2]) -> bool:
+    """Whether the end of a drive over a pass is left for one of the goals next to it, or there is none."""
+    rig, config = connector.rig, connector.rig.config
+    bound = bounds_s([entry.end], goals, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    near = [connector.request(entry.end, goals[k]) for k in np.argsort(bound, kind="stable")[:MAX_GOALS]]
+    return not near or any(connector.turn(r) for r in near) or any(connector.find(r) for r in near[:THOROUGH_NEAR])
 
 
 def _link(connector: PathConnector, last: _Entry, following: _Entry) -> Connection | None:

@@ -82,7 +82,8 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
 def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
     """Tour of a region after its passes, and all its pieces; further swaths are numbered from `number`."""
     connector = region.connector
-    headland = drive_passes(connector, start)
+    goals = [e[0] for line in _lines(connector, region.swaths, []) for r in (False, True) if (e := line.ends(r))]
+    headland = drive_passes(connector, start, goals if home is None else [*goals, home])
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:

@@ -22,7 +22,7 @@ from planning.coverage.swath import Swath
 from planning.coverage.work_line import WorkLine
 from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
-from planning.field.field import FieldOutline
+from planning.field.field import FieldOutline, with_no_go
 from planning.field.site_generation import site_of, site_within
 from planning.plan import NARROW_PART, NARROW_PASSAGE, Plan, plan_field
 from planning.turns.free_space import FreeSpace
@@ -295,6 +295,30 @@ def test_figure_and_geojson(plan: Plan, site: Site, tmp_path: FilePath) -> None:
     assert abs(lon - site.datum.longitude_deg) < 0.002
     assert abs(lat - site.datum.latitude_deg) < 0.002
     assert sum(f["properties"].get("section_type") == "swath" for f in content["features"]) == len(plan.swaths)
+
+
+CORNER = Polygon([(0, 0), (89.4, 0), (89.4, 100), (44.7, 100), (44.7, 55.6), (0, 55.6)])
+
+
+@pytest.mark.parametrize(
+    ("no_go", "gate", "share"),
+    [
+        (box(37.81, 20.23, 54.49, 36.97), (44.7, 87.1), 0.88),
+        (box(51.27, -2.87, 56.46, 8.61), (85.2, 100.0), 0.94),
+        (box(41.26, 33.97, 58.63, 39.7), (50.1, 100.0), 0.9),
+    ],
+)
+def test_pass_that_cannot_be_left_is_driven_elsewhere(
+    no_go: Polygon, gate: tuple[float, float], share: float, vehicle: Vehicle, harrow: MountedImplement,
+    mission: Mission, planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """Where the last pass ended beside the edge no line was reached from it, and the field was refused."""
+    assert mission.work is not None
+    outline = FieldOutline("corner", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), CORNER)
+    outline = with_no_go(outline, [tuple((float(x), float(y)) for x, y in no_go.exterior.coords[:-1])])
+    work = mission.work.model_copy(update={"gate_m": gate})
+    plan = plan_field(site_of(outline, vehicle, harrow, work), vehicle, harrow, work, planning.planner, 0)
+    assert plan.planned_share > share
 
 
 def test_sampling_determinism(plan: Plan) -> None:
