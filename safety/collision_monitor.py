@@ -51,6 +51,7 @@ from safety.zones.tracked_obstacles import (
     is_ahead,
     nearest_critical_object,
     tracks_near,
+    without_posts,
 )
 
 GEOFENCE_SPACING_M = 0.1
@@ -237,6 +238,9 @@ class CollisionMonitor:
         self._follow_departure(swept_field, pose_odom, is_known, odom.stamp_ns)
         predicted_s = horizon_s(stopping_time(speed_mps, braking), self._config.tracked)
         near = tracks_near(swept_field.main, inputs.tracks, pose_odom, predicted_s, self._config.tracked, is_known)
+        if self._geofence is not None and pose_map is not None:
+            posts_odom_m = to_frame(pose_odom, from_frame(pose_map, self._geofence.posts))
+            near = without_posts(near, posts_odom_m, self._config.tracked)
         self._critical_object = self._nearest_object(
             near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s
         )

@@ -214,6 +214,8 @@ class TrackedConfig(Config):
     min_track_age_s: Seconds = Field(description="minimum age of a track for its velocity to count")
     max_unclassified_length_m: Metres = Field(description="longest side of a moving unclassified track")
     self_filter_m: Metres = Field(description="a track this near to machine or implement is the machine itself")
+    post_tolerance_m: Metres = Field(description="a static track this near to a surveyed gate post is the post")
+    max_post_width_m: Metres = Field(description="unless its longest side is longer")
     min_horizon_s: Seconds
     max_horizon_s: Seconds
     steps: int = Field(ge=2, le=50)

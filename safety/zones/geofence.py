@@ -4,7 +4,7 @@ Points are tested by crossing numbers in numpy: the safety channel uses no geome
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -24,10 +24,14 @@ LANE_OVERLAP_M = 1.0  # of a lane with the areas at its ends, so that no seam is
 
 @dataclass(frozen=True)
 class Geofence:
-    """Polygons (E, 2) in map: permitted is the union of `allowed` less `forbidden`; rings need not be closed."""
+    """Polygons (E, 2) in map: permitted is the union of `allowed` less `forbidden`; rings need not be closed.
+
+    `posts` (P, 2) are surveyed posts of gates, on its edge.
+    """
 
     allowed: tuple[Float64, ...]
     forbidden: tuple[Float64, ...] = ()
+    posts: Float64 = field(default_factory=lambda: np.empty((0, 2)))
 
     def contains_box(self, box: Box) -> bool:
         """Whether a box in map surely lies inside: within one allowed ring, with no side near; may miss, never errs."""
@@ -92,7 +96,8 @@ def geofence_of(site: Site) -> Geofence:
     areas += [ring for bay in site.shed.bays for ring in bay_rings(site.shed, bay)] if site.shed is not None else []
     areas += [ring for lane in site.lanes for ring in lane_rings(lane)]
     areas += [band(np.array(gate.posts_m), GATE_DEPTH_M) for gate in site.gates]
-    return Geofence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go))
+    posts = np.array([post for gate in site.gates for post in gate.posts_m], np.float64).reshape(-1, 2)
+    return Geofence(tuple(areas), tuple(np.array(area.outline_m) for area in site.no_go), posts)
 
 
 def lane_rings(lane: Lane) -> list[Float64]:

@@ -149,6 +149,21 @@ def without_known_structure(tracks: list[Track], is_known: KnownStructureFilter,
     return [track for track, known in zip(compact, is_structure, strict=True) if not known]
 
 
+def without_posts(
+    near: list[tuple[Track, bool]], posts_odom_m: Float64, config: TrackedConfig
+) -> list[tuple[Track, bool]]:
+    """Tracks, each with whether it moves, less the static slim ones at surveyed posts (P, 2) in odom.
+
+    A gate post has the size of a person. The raw field covers post and person; one who walks away moves.
+    """
+
+    def is_post(track: Track) -> bool:
+        gaps_m = np.hypot(*(posts_odom_m - track.p_odom_m[:2]).T)
+        return length_m(track) <= config.max_post_width_m and bool((gaps_m <= config.post_tolerance_m).any())
+
+    return [(track, moves) for track, moves in near if moves or not is_post(track)]
+
+
 def horizon_s(stop_s: float, config: TrackedConfig) -> float:
     """Time over which moving tracks are predicted, for the time in which the machine can have stopped."""
     return min(config.max_horizon_s, max(config.min_horizon_s, stop_s))

@@ -79,6 +79,8 @@ CONTROL_COMMAND = ControlCommand(START_NS, 2.0, 0.0, 0.0, True, True, 7, 3.0, 0.
 
 SEEN = MonitorInputs(odometry(), pose(), CONTROL_COMMAND, straight_path(7), Tracks(START_NS, ()), 0.0, 1.0, NOTHING, {})
 
+NO_POSTS = np.empty((0, 2))
+
 DOCKING = replace(SEEN, fold=1.0, path=docking_path())
 
 POSE_MAP = np.array([*to_frame(np.array([2.0, 1.0, 0.3]), np.array([POSE_ODOM[:2]]))[0], 1.0])
@@ -318,10 +320,23 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
 
 
+def test_static_tracks_at_gate_posts_are_left_to_the_raw_field(make: Any, config: SafetyConfig, parts: Any) -> None:
+    """Where the position in map is known: the post of a gate has the size of a person."""
+    post, other = to_frame(POSE_MAP, np.array([(9.0, 6.0), (20.0, 6.0)])), person(2, 12.0)
+    parts.tracks_near.answer = [(person(1, 9.2), False), (other, False)]
+    geofence = SimpleNamespace(contains=Spy(np.ones(1, bool)), contains_box=Spy(True), posts=post)
+    collision_monitor = make(geofence=geofence)
+    look(collision_monitor, config)
+    assert parts.nearest_critical_object.asked[1] == [(other, False)]
+    assert collision_monitor.standing_bodies.update.asked[0] == [(other, False)]
+    look(collision_monitor, config, replace(SEEN, map_pose=None, tracks=Tracks(START_NS + 1, ())))
+    assert parts.nearest_critical_object.asked[1] == parts.tracks_near.answer
+
+
 def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: SafetyConfig, parts: Any) -> None:
     base = np.array([(-40.0, 6.0), (-40.0, -40.0), (40.0, -40.0), (40.0, 6.0)])
     inside = Geofence((to_frame(POSE_MAP, base),)).contains
-    collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True)))
+    collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True), posts=NO_POSTS))
     look(collision_monitor, config)
     near, area, pose_odom, braking, now_ns, is_inside = collision_monitor.standing_bodies.update.asked
     assert (near, area) == ([], collision_monitor.swept_field.main)
@@ -465,7 +480,7 @@ def test_departure_is_followed_while_blocked_or_unresolved(
 
 
 def test_geofence_reach(make: Any, config: SafetyConfig, parts: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    geofence: Any = SimpleNamespace(contains_box=Spy(False))
+    geofence: Any = SimpleNamespace(contains_box=Spy(False), posts=NO_POSTS)
     outlines, inside = Spy((np.array([(3.0, 4.0)]), np.array([2.0]))), Spy(6.5)
     monkeypatch.setattr("safety.collision_monitor.outline_points", outlines)
     monkeypatch.setattr("safety.collision_monitor.distance_inside_m", inside)

@@ -77,6 +77,7 @@ def test_geofence_of_site(site: Site) -> None:
     outside = [(22, 21), (-10, -10), (51, 10), (10, -25), (15, -23), (-61, -10), (-70, -30)]
     assert geofence.contains(np.array(inside, float)).all()
     assert not geofence.contains(np.array(outside, float)).any()
+    assert geofence.posts.tolist() == [[6.0, 0.0], [14.0, 0.0]]
     assert not geofence_of(site.model_copy(update={"shed": None})).contains(np.array([[-70.0, -30.0]])).any()
 
 

@@ -30,6 +30,7 @@ from safety.zones.tracked_obstacles import (
     tracks_near,
     velocity_sigma_mps,
     without_known_structure,
+    without_posts,
 )
 from tests.safety.safety_world import START_NS, WAGON, around
 
@@ -136,6 +137,18 @@ def test_known_structure_by_position() -> None:
 
     tracks = [track(1.0, 0.0, size=(length, 0.5, 1.0), id=k) for k, length in enumerate((2.0, 2.1))]
     assert [one.id for one in without_known_structure(tracks, is_known, 2.0)] == [0]
+
+
+def test_gate_posts(config: SafetyConfig) -> None:
+    posts = np.array([[0.0, 0.0], [8.0, 0.0]])
+    at = [track(8.0, y, id=number) for number, y in enumerate((0.29, 0.31))]
+    wide = track(0.0, 0.0, size=(0.61, 0.4, 1.7), id=2)
+    for moves, kept in ((False, [1, 2]), (True, [0, 1, 2])):
+        near = [(one, moves) for one in (*at, wide)]
+        assert [one.id for one, _ in without_posts(near, posts, config.tracked)] == kept
+        assert without_posts(near, posts[:0], config.tracked) == near
+    unknown = track(math.nan, 0.0)
+    assert without_posts([(unknown, False)], posts, config.tracked) == [(unknown, False)]
 
 
 def test_track_on_known_structure(area: SweptArea, footprint: Footprint, config: SafetyConfig) -> None:
