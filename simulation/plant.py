@@ -17,6 +17,7 @@ from configs.site import Bay, PoseConfig, Post, Shed, Site
 from configs.strict import Config
 from configs.vehicle import Brake, Camera, Lidar, Mount, MountedImplement, Sensors, TrailedImplement, Vehicle
 from geometry.arrays import Float64
+from simulation.machine.implement import ImplementConfig
 from simulation.machine.machine import MachineConfig
 from simulation.randomness import generator
 from simulation.scenario import PlantKind
@@ -142,8 +143,13 @@ def _with_slowest_brake(plant: Plant, config: PlantConfig) -> Plant:
 def _with_resistance(models: PlantModels, factor: float) -> PlantModels:
     machine = models.machine
     drive = machine.drive.model_copy(update={"rolling_resistance_mps2": factor * machine.drive.rolling_resistance_mps2})
-    implement = machine.implement.model_copy(update={"draft_n_per_m": factor * machine.implement.draft_n_per_m})
+    implement = _with_draft(machine.implement, factor)
     return PlantModels(machine.model_copy(update={"drive": drive, "implement": implement}), models.gnss, models.imu)
+
+
+def _with_draft(implement: ImplementConfig, factor: float) -> ImplementConfig:
+    change = {"draft_n_per_m": factor * implement.draft_n_per_m, "max_draft_n": factor * implement.max_draft_n}
+    return implement.model_copy(update=change)
 
 
 class _Draw:
@@ -239,7 +245,7 @@ class _Draw:
                 ("pitch_deg_per_mps2", "roll_deg_per_mps2", "shake_deg_per_mps")}  # fmt: skip
         sections = {
             "drive": machine.drive.model_copy(update=drive), "tyres": machine.tyres.model_copy(update=tyres),
-            "implement": machine.implement.model_copy(update=self.scaled(machine.implement, soil, "draft_n_per_m")),
+            "implement": _with_draft(machine.implement, self.between(soil)),
             "body_motion": machine.body_motion.model_copy(update=body),
         }  # fmt: skip
         return PlantModels(machine.model_copy(update=sections), self.gnss(models.gnss), self.imu(models.imu))

@@ -1,7 +1,8 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from shapely.geometry import LineString
@@ -45,19 +46,20 @@ class _Entry:
         return 0.0 if self.turn is None else self.turn.way.time_s
 
 
-def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2]) -> PassDrive:
+def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] | None) -> PassDrive:
     """Drives the closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
 
     A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge. One that
-    cannot be left for another pass or a goal is not driven.
+    cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
         ring, entries = left[number]
-        following = left[number + 1][1] if number + 1 < len(left) else []
-        others = [*goals, *(e.start for other, them in left if other is not ring for e in them)]
+        following = left[number + 1] if number + 1 < len(left) else None
+        entered = [e.start for other, them in left if other is not ring for e in them]
+        others = None if goals is None else [*goals, *entered]
         best = _best(connector, last, ring, entries, following, others)
         if best is None:
             number += 1
@@ -94,32 +96,42 @@ def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> H
 
 
 def _best(
-    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry], following: list[_Entry],
-    others: Sequence[Pose2],
+    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry],
+    following: tuple[HeadlandPass, list[_Entry]] | None, others: Sequence[Pose2] | None,
 ) -> tuple[Connection, _Entry] | None:  # fmt: skip
     """Connection to the entry of least time together with the connection from there to the next pass."""
-    order = _by_time(connector, last, entries)
     found: list[tuple[float, int, Connection]] = []
-    for n in order:
-        connection = _link(connector, last, entries[n])
+    stuck: list[tuple[Connection, _Entry]] = []
+    for n in _by_time(connector, last, entries):
+        entry, connection = entries[n], _link(connector, last, entries[n])
         if connection is None:
             continue
-        onwards_s = _onwards_s(connector, entries[n], following)
-        if onwards_s == NO_LINK_S and not _is_left(connector, entries[n], others):
+        onwards_s = _onwards_s(connector, entry, following[1] if following is not None else [])
+        if onwards_s == NO_LINK_S and not _is_left(connector, entry, others):
+            stuck.append((connection, entry))
             continue
-        cost_s = connection.time_s - entries[n].saved_s + (onwards_s if following else 0.0)
+        cost_s = connection.time_s - entry.saved_s + (onwards_s if following is not None else 0.0)
         found.append((round(cost_s, 6), n, connection))
         if len(found) == MAX_ENTRIES:
             break
     if found:
         _, n, connection = min(found, key=lambda f: f[:2])
         return connection, entries[n]
-    tried = [*order[:THOROUGH_NEAR], *_nearest_to_others(connector, ring, entries)[:THOROUGH]]
-    for n in dict.fromkeys(tried):
-        found_along = connector.find(connector.request(last.end, entries[n].start))
-        if found_along is not None and _is_left(connector, entries[n], others):
-            return found_along, entries[n]
+    for connection, entry in chain(stuck[:THOROUGH_NEAR], _along(connector, last, ring, entries)):
+        if _is_left(connector, entry, others) or (following and any(_along(connector, entry, *following))):
+            return connection, entry
     return None
+
+
+def _along(
+    connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry]
+) -> Iterator[tuple[Connection, _Entry]]:
+    """Connections along the passes to some entries of a pass: the nearest, and those near another pass."""
+    near = _by_time(connector, last, entries)[:THOROUGH_NEAR]
+    for n in dict.fromkeys([*near, *_nearest_to_others(connector, ring, entries)[:THOROUGH]]):
+        connection = connector.find(connector.request(last.end, entries[n].start))
+        if connection is not None:
+            yield connection, entries[n]
 
 
 def _onwards_s(connector: PathConnector, entry: _Entry, following: list[_Entry]) -> float:
@@ -131,12 +143,15 @@ def _onwards_s(connector: PathConnector, entry: _Entry, following: list[_Entry])
     return min((link.time_s - saved_s for link, saved_s in links if link is not None), default=NO_LINK_S)
 
 
-def _is_left(connector: PathConnector, entry: _Entry, goals: Sequence[Pose2]) -> bool:
-    """Whether the end of a drive over a pass is left for one of the goals next to it, or there is none."""
+def _is_left(connector: PathConnector, entry: _Entry, goals: Sequence[Pose2] | None) -> bool:
+    """Whether the end of a drive over a pass is left for one of the goals, of which fewer are tried farther away."""
+    if not goals:
+        return goals is None
     rig, config = connector.rig, connector.rig.config
     bound = bounds_s([entry.end], goals, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)[0]
-    near = [connector.request(entry.end, goals[k]) for k in np.argsort(bound, kind="stable")[:MAX_GOALS]]
-    return not near or any(connector.turn(r) for r in near) or any(connector.find(r) for r in near[:THOROUGH_NEAR])
+    ranks = np.unique(np.geomspace(1, len(goals), MAX_GOALS).astype(int)) - 1
+    near = [connector.request(entry.end, goals[k]) for k in np.argsort(bound, kind="stable")[ranks]]
+    return any(connector.turn(r) for r in near) or any(connector.find(r) for r in near[:THOROUGH_NEAR])
 
 
 def _link(connector: PathConnector, last: _Entry, following: _Entry) -> Connection | None:

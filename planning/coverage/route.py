@@ -84,6 +84,8 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     connector = region.connector
     goals = [e[0] for line in _lines(connector, region.swaths, []) for r in (False, True) if (e := line.ends(r))]
     headland = drive_passes(connector, start, goals if home is None else [*goals, home])
+    if home is None and not headland.pieces:
+        headland = drive_passes(connector, start, None)  # nothing else is reached: the last pass may end anywhere
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
     if connector.rig.has_reverse:

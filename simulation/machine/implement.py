@@ -19,6 +19,9 @@ class ImplementConfig(Config):
     """Draft of the implement, and the power take-off."""
 
     draft_n_per_m: float = Field(ge=0.0, le=20000.0, description="draft per working width")
+    max_draft_n: float = Field(
+        ge=0.0, le=100000.0, description="a wide implement works less deep, so that it is pulled"
+    )
     draft_sigma: float = Field(ge=0.0, le=1.0, description="relative standard deviation")
     draft_correlation_s: float = Field(gt=0.0, le=60.0, description="correlation time of the soil's variation")
     pto_rpm: float = Field(gt=0.0, le=2000.0)
@@ -68,8 +71,10 @@ class AttachedImplement:
 
     def draft_n(self) -> float:
         """Draft against the motion."""
-        change = max(0.0, 1.0 + self._draft_change)
-        return self._config.draft_n_per_m * self.implement.working_width_m * change if self.is_working else 0.0
+        if not self.is_working:
+            return 0.0
+        mean_n = min(self._config.draft_n_per_m * self.implement.working_width_m, self._config.max_draft_n)
+        return mean_n * max(0.0, 1.0 + self._draft_change)
 
     def follow(self, yaw_rad: float, speed_mps: float, lateral_mps: float, yaw_rate_radps: float) -> None:
         """Heading: that of the machine, or trailing on a drawbar."""

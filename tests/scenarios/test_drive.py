@@ -128,7 +128,7 @@ def test_standstill_before_start_command(setup: Setup) -> None:
 def test_implement_too_heavy_to_pull_stops_the_machine() -> None:
     setup = load_setup("line", None, None, None, 1)
     simulation = setup.stack.simulation
-    heavy = simulation.machine.implement.model_copy(update={"draft_n_per_m": 4000.0})
+    heavy = simulation.machine.implement.model_copy(update={"draft_n_per_m": 4000.0, "max_draft_n": 24000.0})
     machine = simulation.machine.model_copy(update={"implement": heavy})
     stack = setup.stack.model_copy(update={"simulation": simulation.model_copy(update={"machine": machine})})
 
