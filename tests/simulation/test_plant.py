@@ -10,6 +10,7 @@ from configs.site import Site
 from configs.strict import find, load
 from configs.vehicle import ImplementFile, Vehicle
 from runtime.setup import with_implement_sensors
+from simulation.machine.implement import AttachedImplement
 from simulation.plant import Plant, PlantModels, draw_plant
 from tests.simulation.simulated_farm import CONFIG, EMPTY, SITE, Farm, flat, machine_file
 
@@ -94,6 +95,24 @@ def test_plant_is_drawn_from_the_seed():
     one, again, other = (draw_plant("drawn", given, CONFIG.plant, seed) for seed in (5, 5, 6))
     assert one == again
     assert one.vehicle != other.vehicle
+
+
+@pytest.mark.parametrize(("implement", "draft_n"), [("harrow_6m", 6000.0), ("harrow_12m", 6000.0)])
+def test_tractor_pulls_every_implement(implement, draft_n):
+    """On every drawn soil, up a slope of 4 %; a wide implement works less deep."""
+    given = configured(implement=implement)
+    machine, random = given.models.machine, np.random.default_rng(0)
+    attached = AttachedImplement(given.implement, machine.implement, 0.0, is_folded=False, dt_s=0.01, random=random)
+    attached.hitch = 0.0
+    assert attached.draft_n() == draft_n
+    attached.hitch = 1.0
+    assert attached.draft_n() == 0.0
+    for seed in range(40):
+        true = draw_plant("drawn", given, CONFIG.plant, seed)
+        drive, soil = true.models.machine.drive, true.models.machine.implement
+        mean_n = min(soil.draft_n_per_m * given.implement.working_width_m, soil.max_draft_n)
+        needed = mean_n / true.vehicle.body.mass_kg + drive.rolling_resistance_mps2 + 0.04 * 9.81
+        assert needed < drive.max_traction_mps2
 
 
 def test_docked_machine_stands_in_the_true_shed():
