@@ -5,7 +5,9 @@
 A machine, one process per part as `live`, works a square field with the 6 m harrow; one page is open. This program is
 its operator, by the key of the page: it starts, pauses and resumes each `--pause-s`, and confirms and resumes after a
 stop. Each 10 s the resident memory of all processes is read. That of the machine is the sum over its processes, with
-the rings, which all share, counted once. Growth is the slope of a line through the samples after the first 20 minutes.
+the rings, which all share, counted once. Growth, after the first 20 minutes, is the mean difference of two samples an
+hour apart: the log keeps the index of the part that it writes, and begins a new part each hour. In a run of less than
+80 minutes it is the slope of a line through the samples.
 Exit code 1 if page or machine grow by more than 5 MB/h, the thinned log by more than 0.5 GB/h, or the machine was in
 automatic operation for less than 80 % of the time.
 """
@@ -50,7 +52,11 @@ def growth(samples: list[tuple[float, list[list[float]]]], process: slice) -> fl
     if len(late) < 3:
         return float("nan")
     hours = np.array([seconds for seconds, _ in late]) / 3600.0
-    used = [resident_mb(memory[process]) for _, memory in late]
+    used = np.array([resident_mb(memory[process]) for _, memory in late])
+    before = np.searchsorted(hours, hours - 1.0)
+    has_before = hours - 1.0 >= hours[0]
+    if has_before.any():
+        return round(float((used - used[before])[has_before].mean()), 2)
     return round(float(np.polyfit(hours, used, 1)[0]), 2)
 
 
