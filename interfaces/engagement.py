@@ -72,8 +72,8 @@ class Engagement:
     def _commanded(self, now_ns: int, command: SafeCommand, steering: Steering) -> Phase:
         self._fresh += command.stamp_ns > self._stamp_ns
         self._stamp_ns = max(self._stamp_ns, command.stamp_ns)
-        if command.mode is Mode.MANUAL:
-            return Phase.RELEASED
+        if command.mode is Mode.MANUAL and command.deceleration_mps2 == 0.0:
+            return Phase.RELEASED  # a driver controls the machine; the brake holds one with an empty seat
         if self.phase is Phase.SILENT and self._fresh < FRESH_TO_RECOVER:
             return Phase.SILENT
         if not command.is_drive_enabled:

@@ -137,14 +137,18 @@ class CommandBuilder:
     def _disabled_brake(self, inputs: CommandInputs) -> float:
         """Brake while disabled: full in an emergency; for a driver only until the first standstill.
 
-        With an empty seat the brake holds: a touch of the wheel from outside does not release the machine.
+        With an empty seat it is that of a fault stop, and holds: a touch of the wheel from outside, or a wrong torque,
+        does not release the machine.
         """
         if inputs.is_driver_controlled:
             return 0.0 if self._has_stopped else self._config.braking.controlled_mps2
         is_standing = self._standing_since_ns is not None
         if inputs.mode is Mode.EMERGENCY_STOP and not is_standing:
             return self._config.braking.full_mps2
-        return self._config.braking.hold_mps2 if is_standing else self._config.braking.controlled_mps2
+        if is_standing:
+            return self._config.braking.hold_mps2
+        is_manual = inputs.mode is Mode.MANUAL
+        return self._config.braking.deceleration_mps2 if is_manual else self._config.braking.controlled_mps2
 
     def _park(self, inputs: CommandInputs, speed: SpeedDemand, standing_s: float) -> bool:
         """Park brake: set after a time at standstill, released to drive; unchanged while the speed is unknown."""

@@ -113,7 +113,7 @@ def test_fault_and_stop_end_after_the_last_sign(rig: Rig) -> None:
 
 
 def test_manual_driving_is_not_disturbed(rig: Rig) -> None:
-    manual = replace(HOLD, mode=Mode.MANUAL)
+    manual = replace(HOLD, mode=Mode.MANUAL, deceleration_mps2=0.0)
     rig.forward(400, manual)
     inject(rig, named(guidance.COMMAND_GROUP, STRANGER, TRACTOR), LEFT)
     rig.forward(40, manual)

@@ -158,9 +158,22 @@ def test_command_out_of_range_stops(rig, field, value):
 
 
 def test_timeout_in_manual_mode(rig):
-    engaged(rig, replace(HOLD, mode=Mode.MANUAL))
+    engaged(rig, replace(HOLD, mode=Mode.MANUAL, deceleration_mps2=0.0))
     assert is_released(rig)
     rig.forward(500)
+    assert is_released(rig)
+
+
+def test_manual_mode_with_an_empty_seat_brakes(rig):
+    """The hand of nobody: the steering is off, and the machine does not roll."""
+    engaged(rig)
+    rig.step(replace(HOLD, mode=Mode.MANUAL, deceleration_mps2=1.5))
+    assert rig.newest("ExternalBrakeRequest")["Acceleration"] == pytest.approx(-1.5, abs=1e-3)
+    assert rig.newest("GuidanceSystemCommand")["Intent"] == 0
+    assert rig.newest("AuxiliaryCommand")["DriveEnable"] == 0
+    rig.forward(500)
+    assert is_stopped(rig)
+    rig.forward(200, replace(HOLD, mode=Mode.MANUAL, deceleration_mps2=0.0))
     assert is_released(rig)
 
 

@@ -171,7 +171,7 @@ def test_brake_with_a_driver(bench: Bench) -> None:
     assert bench.driving().show(mode=Mode.MANUAL, has_driver=True).deceleration_mps2 == 1.5
     assert bench.show(measured_mps=0.0).deceleration_mps2 == 0.0
     assert bench.show(measured_mps=1.0).deceleration_mps2 == 0.0
-    assert bench.show(has_driver=False).deceleration_mps2 == 1.5
+    assert bench.show(has_driver=False).deceleration_mps2 == 2.5
     assert bench.show(measured_mps=0.0).deceleration_mps2 == 1.0
     assert bench.show(mode=Mode.STANDBY, has_driver=True).deceleration_mps2 == 1.0
 

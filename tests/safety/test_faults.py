@@ -119,7 +119,7 @@ def test_driver_override_with_an_empty_seat(world: World) -> None:
     world.machine_changes = {"driver_rate_radps": 2.0}
     world.step(1)
     assert (world.mode, world.command.is_drive_enabled) == (Mode.MANUAL, False)
-    assert world.command.deceleration_mps2 >= 1.5
+    assert world.command.deceleration_mps2 == 2.5
     world.run(4.0)
     assert world.speed_mps == 0.0
     assert world.command.deceleration_mps2 == 1.0
