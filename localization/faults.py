@@ -27,10 +27,14 @@ FAULTS = {
         FaultType("localization.awaits", *STOP, "Position not found yet", "尚未确定位置"),
         FaultType("localization.not_docked", *STOP, "Position at the dock not confirmed", "停靠位置未确认"),
         FaultType("lidar_odometry.silent", *WARNING, "Lidar odometry: no data", "激光里程计无数据"),
+        FaultType("lidar_localization.silent", *WARNING, "Lidar localization: no data", "激光定位无数据"),
         FaultType("uwb.refused", *WARNING, "UWB ranges rejected", "UWB测距数据被拒绝"),
         FaultType("localization.lost", *STOP, "Position lost: stand still to recover", "定位丢失:请保持静止以恢复"),
         FaultType("localization.rebuilt", *NOTICE, "Position graph rebuilt", "定位因子图已重建"),
-        FaultType("localization.garbage", *NOTICE, "Invalid sensor values dropped", "无效传感器数据已丢弃"),
+        FaultType("imu.invalid", *NOTICE, "IMU: invalid values dropped", "惯性传感器:无效数据已丢弃"),
+        FaultType("wheel.invalid", *NOTICE, "Wheel speed: invalid values dropped", "轮速传感器:无效数据已丢弃"),
+        FaultType("gnss.invalid", *NOTICE, "GNSS: invalid values dropped", "卫星定位:无效数据已丢弃"),
+        FaultType("uwb.invalid", *NOTICE, "UWB: invalid values dropped", "UWB:无效数据已丢弃"),
         FaultType("clock.jumped", *WARNING, "Clock jumped", "时钟跳变"),
     )
 }

@@ -89,10 +89,16 @@ class Localizer(Node):
         self._first_ns = 0  # silence before the first sample counts from here
         self._gnss_ns: int | None = None
         self._lidar_odometry_ns: int | None = None
+        self._lidar_localization_ns: int | None = None
         self._pose_ns: int | None = None
         self._gap_s: float | None = None
         self._was_initialized = False
-        self.dropped = 0
+        self._dropped = dict.fromkeys((IMU, WHEEL, "gnss", "uwb"), 0)
+
+    @property
+    def dropped(self) -> int:
+        """Number of samples with invalid values or stamps."""
+        return sum(self._dropped.values())
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Takes new measurements, integrates to the newest IMU sample and writes poses and faults."""
@@ -114,7 +120,7 @@ class Localizer(Node):
         gap_s = max(0.1, (now_ns - previous) * 1e-9)
         self._faults.report_event(FAULTS["clock.jumped"], f"{(now_ns - previous) * 1e-9:+.3f} s")
         self._clear_samples(gap_s)
-        self._gnss_ns = self._pose_ns = self._lidar_odometry_ns = None
+        self._gnss_ns = self._pose_ns = self._lidar_odometry_ns = self._lidar_localization_ns = None
         self._first_ns = LONG_AGO_NS
 
     def _clear_samples(self, gap_s: float) -> None:
@@ -123,24 +129,28 @@ class Localizer(Node):
         self._map_alignment.clear_measurements()
 
     def _take(self, now_ns: int, inbox: Inbox) -> None:
-        before = self.dropped
+        before = self._dropped.copy()
         for wheel in inbox.all(WHEEL, WheelSample) if self._has_wheels else ():
-            self.dropped += not (self._is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
+            self._dropped[WHEEL] += not (self._is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
         for sample in inbox.all(IMU, ImuSample):
-            self.dropped += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
+            self._dropped[IMU] += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
         for fix in inbox.all(self._gnss, GnssFix):
-            self.dropped += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
+            self._dropped["gnss"] += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
                 self._lidar_odometry_ns = now_ns
                 self._map_alignment.add_lidar_odometry(motion)
         if LIDAR_LOCALIZATION in self.reads:
             for pose in inbox.all(LIDAR_LOCALIZATION, LidarLocalization):
+                self._lidar_localization_ns = now_ns
                 self._map_alignment.pose_measurements.add(pose)
         for topic in self._uwb:
             for ranges in inbox.all(topic, UwbRanges):
-                self.dropped += not (self._is_timely(ranges.stamp_ns, now_ns) and self._add_ranges(ranges))
-        self._faults.set(FAULTS["localization.garbage"], self.dropped > before, f"{self.dropped} in total")
+                self._dropped["uwb"] += not (self._is_timely(ranges.stamp_ns, now_ns) and self._add_ranges(ranges))
+        for kind in before:
+            self._faults.set(
+                FAULTS[f"{kind}.invalid"], self._dropped[kind] > before[kind], f"{self._dropped[kind]} in total"
+            )
 
     def _is_timely(self, stamp_ns: int, now_ns: int) -> bool:
         return -self._config.max_sample_age_s * 1e9 <= stamp_ns - now_ns <= self._config.max_sample_lead_s * 1e9
@@ -208,9 +218,12 @@ class Localizer(Node):
             faults.set(FAULTS[code], is_suspected, "" if suspicion is None else suspicion.detail)
         gnss_ns = self._gnss_ns if self._gnss_ns is not None else self._first_ns
         faults.set(FAULTS["gnss.silent"], now_ns - gnss_ns > self._config.gnss_timeout_s * 1e9)
-        lidar_ns = now_ns if self._lidar_odometry_ns is None else self._lidar_odometry_ns
-        lidar_gap_s = 2.0 * spec_of(self._lidar_odometry).max_age_s  # lidars at 2.5 Hz may lose a scan
-        faults.set(FAULTS["lidar_odometry.silent"], abs(now_ns - lidar_ns) > lidar_gap_s * 1e9)
+        for topic, last_ns in (
+            (self._lidar_odometry, self._lidar_odometry_ns), (LIDAR_LOCALIZATION, self._lidar_localization_ns)
+        ):  # fmt: skip
+            gap_s = 2.0 * spec_of(topic).max_age_s  # lidars at 2.5 Hz may lose a scan
+            is_silent = last_ns is not None and abs(now_ns - last_ns) > gap_s * 1e9
+            faults.set(FAULTS[f"{topic.partition('/')[0]}.silent"], is_silent)
         faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)

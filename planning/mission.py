@@ -39,7 +39,7 @@ from planning.recovery.static_obstacles import (
     static_obstacles,
 )
 
-PERIOD_NS = 200_000_000
+PERIOD_NS = 100_000_000
 REVERSE_CLEARANCE_M = 0.3
 EDGE_M = 0.4
 SAME_OBSTACLE_M = 3.0  # a static track so close to the obstacle passed is the same obstacle

@@ -236,8 +236,9 @@ window.headland = (() => {
 
   setInterval(() => {
     const lost = byId("lost");
-    if (lost) lost.hidden = performance.now() - updatedMs < STALE_MS;
-    document.body.classList.toggle("hl-stale", lost && !lost.hidden);
+    if (!lost) return; // the page is still loading
+    lost.hidden = performance.now() - updatedMs < STALE_MS;
+    document.body.classList.toggle("hl-stale", !lost.hidden);
   }, 250);
 
   return {update, COLORS};

@@ -26,6 +26,7 @@ from messages.perception import LidarGround
 from messages.sensors import LidarScan
 
 LIDAR_LOCALIZATION = "lidar_localization"
+UNMATCHED = np.square([100.0, 100.0, math.pi])  # variances of x, y (m²) and yaw (rad²) without a match
 UNOBSERVED = np.square([0.1, 0.1, 0.0, 0.0, 0.0, 10.0])  # variances of roll, pitch (rad²) and height (m²)
 
 
@@ -81,7 +82,7 @@ class LidarMap(Node):
         self._map.learn(none, np.zeros(3))
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
-        """Matches the newest scan of every lidar and learns from it."""
+        """Matches the newest scan of every lidar and learns from it; where no match is needed, the result says so."""
         pairs = self._newest(inbox)
         pose = inbox.latest("map_pose", MapPose)
         if not pairs or pose is None:
@@ -96,15 +97,15 @@ class LidarMap(Node):
         T_guess = np.asarray(pose.T_map_odom @ odom.T_odom_base)
         is_matching = pose.source is not PositionSource.RTK_FIXED or self._distance(T_guess) < self._config.near_shed_m
         is_learning = self._learned_ns is None or abs(stamp_ns - self._learned_ns) >= self._config.learn_period_s * 1e9
-        if not is_matching and not is_learning:
-            return []
-        points = self._points(pairs, odom, inbox, T_guess)
-        found = self._match(stamp_ns, points, T_guess) if is_matching else None
-        if is_learning and self._is_good(pose, found):
-            self._learned_ns = stamp_ns
-            T = found.T_map_base if found is not None and pose.source is not PositionSource.RTK_FIXED else T_guess
-            self._map.learn(points, np.array(Pose2.of(T)))
-        return [] if found is None else [(LIDAR_LOCALIZATION, found)]
+        found = self._located(stamp_ns, T_guess, np.diag(UNMATCHED), "not needed", 0)
+        if is_matching or is_learning:
+            points = self._points(pairs, odom, inbox, T_guess)
+            found = self._match(stamp_ns, points, T_guess) if is_matching else found
+            if is_learning and self._is_good(pose, found):
+                self._learned_ns = stamp_ns
+                T = T_guess if pose.source is PositionSource.RTK_FIXED else found.T_map_base
+                self._map.learn(points, np.array(Pose2.of(T)))
+        return [(LIDAR_LOCALIZATION, found)]
 
     def _newest(self, inbox: Inbox) -> dict[str, tuple[LidarScan, LidarGround]]:
         pairs = {}
@@ -169,10 +170,10 @@ class LidarMap(Node):
     def _distance(self, T_map_base: Float64) -> float:
         return float(self._roof.distance(shapely.Point(T_map_base[:2, 3]))) if not self._roof.is_empty else math.inf
 
-    def _is_good(self, pose: MapPose, found: LidarLocalization | None) -> bool:
+    def _is_good(self, pose: MapPose, found: LidarLocalization) -> bool:
         """Whether the pose may be learned from: fixed ambiguities, or a valid match under UWB."""
         cfg = self._config
-        is_matched = pose.source is PositionSource.UWB and found is not None and found.is_valid
+        is_matched = pose.source is PositionSource.UWB and found.is_valid
         if not is_matched and pose.source is not PositionSource.RTK_FIXED:
             return False
         position, yaw = np.linalg.eigvalsh(pose.covariance[3:5, 3:5])[1], pose.covariance[2, 2]

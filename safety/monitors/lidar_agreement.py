@@ -26,7 +26,8 @@ class LidarAgreement:
 
     def update(self, lidars: Sequence[LidarSource]) -> None:
         """Compares the last scans of all lidars."""
-        agreed = {one.name: [False] * self._is_far_from_wheels(one) for one in lidars}
+        far_m = self._config.max_height_m
+        agreed = {one.name: [False] * (self._distance_from_wheels_m(one) > far_m) for one in lidars}
         for one, other in combinations(lidars, 2):
             if (found := self._do_agree(one, other)) is not None:
                 agreed[one.name].append(found)
@@ -36,12 +37,12 @@ class LidarAgreement:
         self._since_ns = {name: self._since_ns.get(name, self._now_ns) for name in contradicted}
 
     def failures(self, lidars: Sequence[LidarSource], direction: int) -> tuple[SensorFailure, ...]:
-        """Failures of the lidars that cover a direction of travel."""
+        """Failures of the lidars that cover a direction of travel, the ground farthest from the wheels first."""
         hold_ns = round(self._config.hold_s * 1e9)
         contradicted = [name for name, ns in self._since_ns.items() if self._now_ns - ns >= hold_ns]
         names = ", ".join(f"lidar/{name}" for name in contradicted)
         failures = []
-        for one in lidars:
+        for one in sorted(lidars, key=self._distance_from_wheels_m, reverse=True):
             if not one.covers(direction):
                 continue
             topic = f"lidar/{one.name}"
@@ -53,9 +54,10 @@ class LidarAgreement:
                 failures.append(SensorFailure("lidar", f"{topic}.contradicted", text))
         return tuple(failures)
 
-    def _is_far_from_wheels(self, one: LidarSource) -> bool:
+    def _distance_from_wheels_m(self, one: LidarSource) -> float:
+        """Height of the ground of a lidar above or below the wheels, 0 with too few cells."""
         height_m = one.ground.height_m
-        return len(height_m) >= self._config.min_cells and abs(median(height_m)) > self._config.max_height_m
+        return abs(float(median(height_m))) if len(height_m) >= self._config.min_cells else 0.0
 
     def _do_agree(self, one: LidarSource, other: LidarSource) -> bool | None:
         """Whether the grounds of two lidars agree; None without enough common cells of the same time."""

@@ -13,7 +13,7 @@ from safety.pose_history import tilt_of
 from safety.stopping_distance import Braking, on_grade
 
 # below these the conditions are within the noise
-BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS, DRIVE_COMMANDED_MPS = 1.0, 0.5, 0.3, 0.5
+BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS, DRIVE_COMMANDED_MPS = 1.0, 0.5, 0.3, 0.2
 DIRECTION_MPS = 0.1
 
 

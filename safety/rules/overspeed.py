@@ -20,12 +20,21 @@ def evaluate(situation: Situation, limits: OverspeedLimits) -> RuleResult:
     """Emergency stop: drive or bus no longer obey the supervisor, or one of the two speeds is wrong."""
     if situation.vehicle.overspeed_s <= limits.debounce_s:
         return no_objection(CODE)
-    machine, odom = situation.machine, situation.inputs.odom
-    if machine is not None and odom is not None:
-        sent_mps, measured_mps = abs(machine.speed_mps), abs(odom.speed_mps)
-        if abs(sent_mps - measured_mps) > 0.5 * situation.config.limits.overspeed_mps:  # at most one can be right
-            return emergency(CONTRADICTED, f"{sent_mps:.1f} m/s on the bus, {measured_mps:.1f} m/s by odometry")
+    contradiction = contradiction_of(situation)
+    if contradiction:
+        return emergency(CONTRADICTED, contradiction)
     return emergency(CODE, "the machine is faster than commanded")
+
+
+def contradiction_of(situation: Situation) -> str:
+    """The speeds of bus and odometry where at most one of them can be right, else ""."""
+    machine, odom = situation.machine, situation.inputs.odom
+    if machine is None or odom is None:
+        return ""
+    sent_mps, measured_mps = abs(machine.speed_mps), abs(odom.speed_mps)
+    if abs(sent_mps - measured_mps) <= 0.5 * situation.config.limits.overspeed_mps:
+        return ""
+    return f"{sent_mps:.1f} m/s on the bus, {measured_mps:.1f} m/s by odometry"
 
 
 RULE = Rule(

@@ -26,7 +26,7 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("page")
     for user in ("anna:operate", "bo:operate", "cem:view"):
         add_user(folder, user, PASSWORD)
-    (folder / "row.yaml").write_text(row_mission(1.5), encoding="utf-8")
+    (folder / "row.yaml").write_text(row_mission(1.2), encoding="utf-8")
     mission = ("--mission", str(folder / "row.yaml"), "--scenario", "empty", "--stop-port", "0")
     with page_process(folder, *mission) as found:
         assert found.password == ""  # users are set up

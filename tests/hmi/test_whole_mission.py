@@ -136,7 +136,7 @@ def test_a_mission_is_driven_over_a_power_cut(browser: Browser, tmp_path: Path) 
         wait_for(page, "#hint", "^corner field$")
         page.select_option("#implement", "harrow_12m")
         page.click("#plan:not([disabled])")
-        page.wait_for_selector("#rows-plan [data-key=length]")
+        page.wait_for_selector("#rows-plan [data-key=length]", timeout=180_000.0)  # beside other tests
         page.fill("#mission-name", "corner")
         page.click("#store")
         page.locator("#table-missions tbody tr", has_text="corner").wait_for()

@@ -13,7 +13,7 @@ from localization.graph.smoother import Smoother
 from localization.localizer import Localizer
 from messages.errors import ConfigError
 from messages.faults import Response
-from messages.motion import LidarOdometry, PositionSource
+from messages.motion import LidarLocalization, LidarOdometry, PositionSource
 from messages.sensors import GnssSolution
 from tests.localization.harness import Run, configuration, errors, run
 from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, drive, tractor
@@ -192,7 +192,7 @@ def test_invalid_samples_are_dropped_and_counted():
     e = errors(result, truth)
     assert result.localizer.dropped > 20
     assert np.max(np.linalg.norm(e.p_m[:, :2], axis=1)) < 0.06
-    assert ("localization.garbage", True) in codes(result)
+    assert {(f"{kind}.invalid", True) for kind in ("imu", "wheel", "gnss")} <= set(codes(result))
 
 
 @pytest.mark.parametrize("topic", ["imu", "wheel"])
@@ -219,15 +219,19 @@ def test_start_without_fault_unless_a_sensor_stays_silent(topic):
     assert all(f.stamp_ns < at(1.2) for f in silent)
 
 
-def test_silent_lidar_odometry_is_named():
+@pytest.mark.parametrize("topic", ["lidar_odometry/front", "lidar_localization"])
+def test_silent_lidar_node_is_named(topic):
     def motion(k):
         stamp_ns = at(0.1 * k)
         lost = LidarOdometry(stamp_ns, stamp_ns - 100_000_000, np.eye(4), np.eye(6), False, "degenerate", 0)
-        return stamp_ns + 60_000_000, "lidar_odometry/front", lost
+        if topic == "lidar_localization":
+            lost = LidarLocalization(stamp_ns, np.eye(4), np.eye(6), False, "not needed", 0)
+        return stamp_ns + 60_000_000, topic, lost
 
     motions = [motion(k) for k in (*range(10, 40), *range(60, 80))]
     result = run(sorted([*short_truth().messages, *motions], key=lambda entry: entry[0]), seconds=8)
-    silent = [(round((f.stamp_ns - at(0)) * 1e-9, 1), f.is_active) for f in result.faults if "lidar" in f.code]
+    kind = topic.partition("/")[0]
+    silent = [(round((f.stamp_ns - at(0)) * 1e-9, 1), f.is_active) for f in result.faults if kind in f.code]
     assert silent == [(5.0, True), (6.1, False)]
 
 

@@ -335,8 +335,8 @@ def test_lidar_localization_validity() -> None:
     pair = simulate_scan(truth, stamp, "front", np.random.default_rng(0))
     still = [("odom", Odometry(stamp - ns, np.eye(4), 0, 0, 0, 0, 0, np.eye(6))) for ns in (200_000_000, 0)]
 
-    def answer(T_map_odom):
-        where = MapPose(stamp, T_map_odom, T_map_odom, np.eye(6), PositionSource.UWB, 1.0, math.inf, True, 0.1)
+    def answer(T_map_odom, source=PositionSource.UWB):
+        where = MapPose(stamp, T_map_odom, T_map_odom, np.eye(6), source, 1.0, math.inf, True, 0.1)
         box = StubInbox([("lidar/front", pair[0]), ("ground/front", pair[1]), ("map_pose", where)], still)
         return dict(node.step(stamp, box))["lidar_localization"]
 
@@ -347,3 +347,5 @@ def test_lidar_localization_validity() -> None:
     away[0, 3] += 200.0
     assert answer(away).reason.startswith("only 0 returns")
     assert not answer(away).is_valid
+    unneeded = answer(away, PositionSource.RTK_FIXED)
+    assert (unneeded.is_valid, unneeded.reason) == (False, "not needed")

@@ -178,7 +178,7 @@ def test_frozen_radar_and_blind_sector(inputs: SupervisorInputs, config: Supervi
     assert sensor_failures(inputs, inbox) == ["radar/front.blind"]
 
 
-@pytest.mark.parametrize(("label", "max_output_age_s"), [("radar_front", 0.4), ("camera_front", 1.5)])
+@pytest.mark.parametrize(("label", "max_output_age_s"), [("radar_front", 0.35), ("camera_front", 1.5)])
 def test_max_output_age(inputs: SupervisorInputs, label: str, max_output_age_s: float) -> None:
     inbox, _ = all_well(inputs)
     for age_s, is_told in (

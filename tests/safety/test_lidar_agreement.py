@@ -139,6 +139,14 @@ def test_wrong_lidar_is_named_after_the_hold_time(rig: Rig, name: str, kind: str
     assert rig.run(1) == []
 
 
+@pytest.mark.parametrize("wrong", FRONT[:2])
+@pytest.mark.parametrize("kind", ["offset", "scale", "garbage"])
+def test_of_two_the_one_that_contradicts_the_wheels_comes_first(
+    shipped: Vehicle, implement, config: SafetyConfig, wrong: str, kind: str
+) -> None:  # fmt: skip
+    assert Rig(shipped, implement, config, FRONT[:2]).run(5, {wrong: WRONG[kind]})[0] == f"lidar/{wrong}.contradicted"
+
+
 @pytest.mark.parametrize("ground", [waves, crest, side_slope, furrows])
 def test_wrong_lidar_is_named_on_any_ground(rig: Rig, ground: Ground) -> None:
     """Another that only the wrong one shares enough ground with may be accused too."""

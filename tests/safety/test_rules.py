@@ -153,9 +153,9 @@ def test_message_timeout(config: SupervisorConfig) -> None:
 @pytest.mark.parametrize("group", ["heartbeat", "motion", "steering", "cab"])
 @clause("BD-5.5.1a", "BD-5.5.2d", rule="message_timeout")
 def test_timeout_of_a_machine_state_group(config: SupervisorConfig, group: str) -> None:
-    for age_ms in around(300, 1):
+    for age_ms in around(250, 1):
         changes = {f"{group}_stamp_ns": START_NS - round(age_ms * 1e6)}
-        expected = (STOP, f"machine.{group}.silent") if age_ms > 300 else (NONE, "message_timeout")
+        expected = (STOP, f"machine.{group}.silent") if age_ms > 250 else (NONE, "message_timeout")
         assert ask("message_timeout", config, **with_machine(**changes))[:2] == expected, age_ms
 
 
@@ -189,7 +189,12 @@ def test_steering(config: SupervisorConfig) -> None:
 def test_drive(config: SupervisorConfig) -> None:
     for held in around(5.0, 0.02):
         expected = STOP if held > 5.0 else NONE
-        assert ask("drive", config, drive_ineffective_s=held)[:2] == (expected, "drive.not_following"), held
+        changes = {"drive_ineffective_s": held, **with_machine(speed_mps=2.0)}
+        assert ask("drive", config, **changes)[:2] == (expected, "drive.not_following"), held
+    for difference in around(0.25, 0.01):
+        changes = {"drive_ineffective_s": 5.1, **with_machine(speed_mps=2.0 + difference)}
+        code = "speeds.contradicted" if difference > 0.25 else "drive.not_following"
+        assert ask("drive", config, **changes)[:2] == (STOP, code), difference
 
 
 @clause("BD-5.2.5b", rule="brake")

@@ -190,8 +190,8 @@ def test_drive_ineffective(bench: Bench, sign: int) -> None:
         assert stands(speed) == (speed < 0.4), speed
     assert stands(0.0)
     assert stands(-1.0)  # it rolls back
-    for asked in around(0.5, 0.01):
-        assert stands(0.0, replace(driving, speed_mps=sign * asked)) == (asked >= 0.5), asked
+    for asked in around(0.2, 0.01):
+        assert stands(0.0, replace(driving, speed_mps=sign * asked)) == (asked >= 0.2), asked
     for command in (None, replace(driving, is_drive_enabled=False), replace(driving, deceleration_mps2=0.1)):
         assert not stands(0.0, command)
     assert not stands(0.0, mode=Mode.STANDBY)
