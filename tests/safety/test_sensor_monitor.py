@@ -168,7 +168,7 @@ def test_sensor_loss_speed_and_code(seeing: World, config: SafetyConfig, topic: 
 
 
 @pytest.mark.parametrize(
-    ("label", "max_output_age_s"), [("radar_front", 0.4), ("ultrasonic_left", 0.4), ("camera_front", 1.5)]
+    ("label", "max_output_age_s"), [("radar_front", 0.35), ("ultrasonic_left", 0.35), ("camera_front", 1.5)]
 )
 def test_obstacle_output_age_limit(seeing: World, label: str, max_output_age_s: float) -> None:
     driving(seeing, 2.78)
