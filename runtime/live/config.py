@@ -17,7 +17,7 @@ class LiveConfig(Config):
     ring_mib: dict[str, Annotated[int, Field(ge=1, le=1024)]]
     timeout_s: dict[str, Seconds]
     startup_s: Seconds
-    first_beat_s: Seconds
+    settle_s: Seconds
     realtime: dict[str, Annotated[int, Field(ge=1, le=90)]] = Field(
         description="priorities of processes that other programs may not delay (SCHED_FIFO); needs root or CAP_SYS_NICE"
     )

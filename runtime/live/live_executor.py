@@ -35,13 +35,14 @@ class NoWorld(World):
 class ProcessLinks:
     """Rings that join a process to the others: its own, the others by name, and the timeouts of their heartbeats.
 
-    `first_beat_s`: timeout of the first heartbeat; until then no node of that process has published, and nothing moves.
+    `settle_s`: timeout of the first heartbeat, and of all within that time after the start: compiled code is read from
+    the disk then, and nothing moves before it has been started.
     """
 
     ring: RingWriter
     others: Mapping[str, RingReader]
     timeout_s: Mapping[str, float]
-    first_beat_s: float
+    settle_s: float
 
 
 class LiveExecutor(Executor):
@@ -124,9 +125,9 @@ class LiveExecutor(Executor):
         """Reports a fault with a stop for each process whose heartbeat timed out, and its end."""
         for name, limit_s in self._links.timeout_s.items():
             beat_ns = self._links.others[name].beat_ns
-            has_begun = beat_ns >= self._started_ns
+            has_settled = beat_ns >= self._started_ns and self.now_ns - self._started_ns > self._links.settle_s * 1e9
             silent_s = (self.now_ns - max(beat_ns, self._started_ns)) * 1e-9
-            is_silent = silent_s > (limit_s if has_begun else self._links.first_beat_s)
+            is_silent = silent_s > (limit_s if has_settled else self._links.settle_s)
             if is_silent != (name in self._timed_out):
                 self._timed_out ^= {name}
                 fault = process_fault(self.now_ns, name, silent_s)

@@ -80,7 +80,7 @@ def run_process(start: Start) -> None:
 def _run(start: Start) -> None:
     others = {name: RingReader(path) for name, path in start.rings.items() if name != start.role}
     timeouts = start.config.timeout_s if start.role == "safety" else {}
-    links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts, start.config.first_beat_s)
+    links = ProcessLinks(RingWriter(start.rings[start.role]), others, timeouts, start.config.settle_s)
     with _parts(start) as (world, nodes, sinks):
         gc.collect()
         gc.freeze()  # a full garbage collection takes 0.1 s

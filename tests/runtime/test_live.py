@@ -141,7 +141,7 @@ def test_message_exchange_and_heartbeat_timeout(tmp_path: Path) -> None:
     assert 0.0 < timing.mean_s <= timing.longest_s < 1.3
 
 
-def test_process_has_longer_for_its_first_heartbeat(tmp_path: Path) -> None:
+def test_process_has_longer_at_the_start(tmp_path: Path) -> None:
     for name in ("own", "late", "never"):
         make_ring(tmp_path / name, 65536)
     clock = Clock(1_000_000_000_000, time.monotonic_ns())
@@ -152,9 +152,10 @@ def test_process_has_longer_for_its_first_heartbeat(tmp_path: Path) -> None:
     began_ns = clock()
 
     def beats() -> bool:
-        if clock() - began_ns > 300_000_000:
+        since_ns = clock() - began_ns
+        if since_ns > 300_000_000 and not 320_000_000 < since_ns < 470_000_000:
             late.beat(clock())
-        return clock() - began_ns > 800_000_000
+        return since_ns > 800_000_000
 
     def faults() -> list[Fault]:
         return [e.message for e in received if isinstance(e.message, Fault)]
