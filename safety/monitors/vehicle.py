@@ -86,7 +86,7 @@ class VehicleMonitor:
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
             self._deviation.update(now_ns, is_watched, self._steering_deviates(now_ns, machine, command)),
             self._unavailable.update(now_ns, is_watched and self._steering_unavailable(machine)),
-            self._standing.update(now_ns, is_watched and self._drive_ineffective(odom, command)),
+            self._standing.update(now_ns, is_watched and self._drive_ineffective(odom, machine, command)),
             self._ineffective.update(now_ns, self._brake_ineffective(odom, command)),
             self._overspeed.update(now_ns, self._is_overspeed(now_ns, is_watched, command)),
             self._driver_present(now_ns, machine),
@@ -117,9 +117,17 @@ class VehicleMonitor:
     def _steering_unavailable(self, machine: MachineState | None) -> bool:
         return machine is not None and not machine.is_steering_ready and self._fastest_mps >= STEER_MOVING_MPS
 
-    def _drive_ineffective(self, odom: Odometry | None, command: SafeCommand | None) -> bool:
-        """Whether the machine stands, creeps or rolls back while the command is to drive."""
-        if odom is None or command is None or not command.is_drive_enabled or command.deceleration_mps2 > 0.0:
+    def _drive_ineffective(
+        self, odom: Odometry | None, machine: MachineState | None, command: SafeCommand | None
+    ) -> bool:  # fmt: skip
+        """Whether the machine stands, creeps or rolls back while commanded to drive, or stands and reports motion."""
+        if odom is None or command is None or not command.is_drive_enabled:
+            return False
+        reported_mps = 0.0 if machine is None else abs(machine.speed_mps)
+        least_mps = DIRECTION_MPS + 0.5 * self._config.limits.overspeed_mps
+        if abs(odom.speed_mps) < DIRECTION_MPS and reported_mps > least_mps:
+            return True
+        if command.deceleration_mps2 > 0.0:
             return False
         asked_mps = abs(command.speed_mps)
         moved_mps = math.copysign(odom.speed_mps, odom.speed_mps * command.speed_mps)

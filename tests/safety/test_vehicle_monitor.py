@@ -183,7 +183,7 @@ def test_drive_ineffective(bench: Bench, sign: int) -> None:
 
     def stands(speed: float, command: SafeCommand | None = driving, mode: Mode = Mode.AUTOMATIC) -> bool:
         bench.show(odom=None, mode=Mode.AUTOMATIC)
-        bench.show(odom=odometry(sign * speed), command=command, mode=mode)
+        bench.show(odom=odometry(sign * speed), machine={"speed_mps": sign * speed}, command=command, mode=mode)
         return bench.show(0.5).drive_ineffective_s > 0.0
 
     for speed in around(0.4, 0.01):
@@ -195,6 +195,22 @@ def test_drive_ineffective(bench: Bench, sign: int) -> None:
     for command in (None, replace(driving, is_drive_enabled=False), replace(driving, deceleration_mps2=0.1)):
         assert not stands(0.0, command)
     assert not stands(0.0, mode=Mode.STANDBY)
+
+
+def test_drive_that_stands_and_reports_motion(bench: Bench) -> None:
+    braking = replace(COMMAND, speed_mps=0.0, is_drive_enabled=True, deceleration_mps2=1.0)
+
+    def stands(speed: float, sent: float, command: SafeCommand = braking) -> bool:
+        bench.show(odom=None, machine=None, mode=Mode.AUTOMATIC)
+        bench.show(odom=odometry(speed), machine={"speed_mps": sent}, command=command)
+        return bench.show(0.5).drive_ineffective_s > 0.0
+
+    for sign in (1, -1):
+        for sent in around(0.35, 0.01):
+            assert stands(0.0, sign * sent) == (sent > 0.35), sent
+    for speed in around(0.1, 0.01):
+        assert stands(speed, 0.5) == (speed < 0.1), speed
+    assert not stands(0.0, 0.5, replace(braking, is_drive_enabled=False))
 
 
 @pytest.mark.parametrize("sign", [1, -1])
