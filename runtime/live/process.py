@@ -86,15 +86,21 @@ def _run(start: Start) -> None:
         gc.freeze()  # a full garbage collection takes 0.1 s
         stop_signals: list[int] = []
         take_priority(start.role, start.config)
+        wait_for_start(start.barrier, start.parent, start.config.startup_s)
         signal.signal(signal.SIGTERM, lambda number, frame: stop_signals.append(number))
-        end_with_parent(start.parent, signal.SIGTERM)  # closes its files
-        start.barrier.wait(start.config.startup_s)
-        start.barrier.wait(start.config.startup_s)
         executor = LiveExecutor(world, nodes, sinks, start.clock(), links, reads_all=start.role == "log")
         try:
             executor.run(lambda: bool(stop_signals))
         except LogError as error:
             sys.stderr.write(f"headland: {error}\n")
+
+
+def wait_for_start(barrier: Barrier, parent: int, limit_s: float) -> None:
+    """Waits until all processes are ready and the clock is set; SIGTERM, or the end of the parent, ends this one."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))  # closes its files
+    end_with_parent(parent, signal.SIGTERM)
+    barrier.wait(limit_s)
+    barrier.wait(limit_s)
 
 
 def take_priority(role: str, config: LiveConfig) -> None:

@@ -1,6 +1,8 @@
 """Links between the processes of the live stack: rings, records, CAN bus on this computer alone; passive logging."""
 
 import json
+import multiprocessing
+import os
 import socket
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from messages.timing import NodeTiming
 from runtime.live.can_bus import LOOPBACK, PunctualBus, named_bus, open_bus
 from runtime.live.clock import Clock
 from runtime.live.live_executor import LiveExecutor, NoWorld, ProcessLinks
+from runtime.live.process import wait_for_start
 from runtime.live.ring import LAP_BYTES, RingReader, RingWriter, make_ring
 from runtime.live.serialization import pack, unpack
 from runtime.live.shadow import Listener
@@ -167,6 +170,19 @@ def test_process_has_longer_at_the_start(tmp_path: Path) -> None:
     late.beat(clock())
     executor.run(lambda: len(faults()) == 3)
     assert [(fault.source, fault.is_active) for fault in faults()[1:]] == [("late", True), ("late", False)]
+
+
+def test_process_that_waits_for_the_start_ends_when_it_is_asked() -> None:
+    """An orphan waited for `startup_s`, 5 min, and its folder was locked."""
+    context = multiprocessing.get_context("spawn")
+    barrier = context.Barrier(2)
+    process = context.Process(target=wait_for_start, args=(barrier, os.getpid(), 120.0))
+    process.start()
+    while barrier.n_waiting == 0:
+        time.sleep(0.01)
+    process.terminate()
+    process.join(30.0)
+    assert process.exitcode == 0
 
 
 def frame(k: int) -> can.Message:
