@@ -66,14 +66,14 @@ def stand_out_of_cell(
 
     Cells as in `heights_above_ground`, with the height of plants in each (R, C). `limits_m`: height above which returns
     count if the first of `shares` of their cell do, height above which they count if the second share and a number of
-    `returns` do whose standard deviation in every direction is `width_m`, and margin above plants.
+    `returns` do whose standard deviation along y is `width_m` (a row of crop runs along x), and margin above plants.
     """
     rows, columns = plants_m.shape
     least_m, dense_m, margin_m = limits_m
     x0, y0, size = np.float32(corner_m[0]), np.float32(corner_m[1]), np.float32(cell_m)
     cell, plants = np.empty(xyz.shape[1], np.int64), plants_m.reshape(-1)
     count = np.zeros((3, rows * columns), np.int64)  # of all returns, of those above the first limit, of the second
-    sums = np.zeros((5, rows * columns))  # of x, y, x², xy, y² of those above the second
+    sums = np.zeros((2, rows * columns))  # of y and y² of those above the second
     is_above, is_plant = np.empty(xyz.shape[1], np.bool_), np.empty(xyz.shape[1], np.bool_)
     for k in range(xyz.shape[1]):
         row = min(int((xyz[0, k] - x0) / size), rows - 1)
@@ -85,28 +85,19 @@ def stand_out_of_cell(
         count[0, here] += 1
         count[1, here] += is_above[k]
         if plant_m == 0.0 and height_m[k] > dense_m:
-            x, y = float(xyz[0, k] - x0), float(xyz[1, k] - y0)
+            y = float(xyz[1, k] - y0)
             count[2, here] += 1
-            sums[0, here] += x
-            sums[1, here] += y
-            sums[2, here] += x * x
-            sums[3, here] += x * y
-            sums[4, here] += y * y
+            sums[0, here] += y
+            sums[1, here] += y * y
     for k in range(xyz.shape[1]):
         all_of, above, dense = count[:, cell[k]]
         is_dense = height_m[k] > dense_m and plants[cell[k]] == 0.0
         is_dense &= dense >= max(float(returns), shares[1] * all_of)
-        is_dense = is_dense and _width_m(sums[:, cell[k]] / dense) >= width_m
+        if is_dense:
+            mean, square = sums[:, cell[k]] / dense
+            is_dense = max(0.0, square - mean * mean) >= width_m * width_m
         is_above[k] = (is_above[k] and above >= shares[0] * all_of) or is_dense
     return is_above, is_plant
-
-
-@inline_kernel
-def _width_m(means: Float64) -> float:
-    """Standard deviation of points along their minor axis, from the means of x, y, x², xy and y²."""
-    x, y, xx, xy, yy = means
-    a, b, c = xx - x * x, xy - x * y, yy - y * y
-    return math.sqrt(max(0.0, 0.5 * (a + c - math.sqrt((a - c) ** 2 + 4.0 * b * b))))
 
 
 @kernel

@@ -110,7 +110,7 @@ class NearFieldConfig(Config):
     dense_factor: float = Field(ge=1.0, le=10.0, description="the same where many returns of a cell are so high")
     dense_share: float = Field(ge=0.0, le=1.0, description="share that is many")
     dense_returns: int = Field(ge=1, le=100, description="and their least number")
-    dense_width_m: float = Field(ge=0.0, le=0.5, description="and their least standard deviation in any direction")
+    dense_width_m: float = Field(ge=0.0, le=0.5, description="and their least standard deviation across the machine")
 
 
 class VegetationConfig(Config):
