@@ -13,6 +13,7 @@ from control.slip import SlipConfig
 from control.start_conditions import StartConditions, StartConditionsConfig
 from control.steering import SteeringConfig
 from control.tracking_law import TrackingConfig
+from control.zero_phase import warm
 from geometry.pose2 import Pose2
 from messages.command import ControlCommand, MachineState, Mode, SafeCommand
 from messages.motion import MapPose, Odometry
@@ -55,6 +56,7 @@ class Controller(Node):
         self._start_conditions = StartConditions(implement, config.start_conditions)
         self._path: Path | None = None
         self._plan: SpeedPlan | None = None
+        warm()
         self._last_ns: int | None = None
         self._commanded_mps = self._braking_mps2 = 0.0
         self._curvature_radpm = 0.0

@@ -23,6 +23,11 @@ def low_pass(x: Float64, share: float) -> Float64:
     return backward[::-1][EDGE:-EDGE]
 
 
+def warm() -> None:
+    """Compiles the kernel or loads it from the cache, so that the first path does not wait for it."""
+    low_pass(np.zeros((2 * EDGE, 2)), 0.5)
+
+
 def butterworth(share: float) -> tuple[Float64, Float64]:
     """Coefficients (4,) of numerator and denominator at `share` of the Nyquist frequency, 0 to 1."""
     warped = 4.0 * np.tan(np.pi * share / 2.0)

@@ -169,7 +169,7 @@ def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
     every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
     while True:
         counts = np.zeros((3, len(BANDS_M), SECTORS), np.int64)
-        _count_few(image.ranges_mm, *beams, pixels[::every], counts)
+        _count_few(image.ranges_mm, *beams, np.ascontiguousarray(pixels[::every]), counts)  # one kernel for both
         none, one, _ = counts.sum(axis=2)
         is_scatter = ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any()
         if not is_scatter or (every == 1 and sigmas == SIGNIFICANT):
