@@ -97,14 +97,15 @@ class LidarMap(Node):
         T_guess = np.asarray(pose.T_map_odom @ odom.T_odom_base)
         is_matching = pose.source is not PositionSource.RTK_FIXED or self._distance(T_guess) < self._config.near_shed_m
         is_learning = self._learned_ns is None or abs(stamp_ns - self._learned_ns) >= self._config.learn_period_s * 1e9
-        found = self._located(stamp_ns, T_guess, np.diag(UNMATCHED), "not needed", 0)
-        if is_matching or is_learning:
-            points = self._points(pairs, odom, inbox, T_guess)
-            found = self._match(stamp_ns, points, T_guess) if is_matching else found
-            if is_learning and self._is_good(pose, found):
-                self._learned_ns = stamp_ns
-                T = T_guess if pose.source is PositionSource.RTK_FIXED else found.T_map_base
-                self._map.learn(points, np.array(Pose2.of(T)))
+        points = self._points(pairs, odom, inbox, T_guess) if is_matching or is_learning else np.zeros((0, 5))
+        if is_matching:
+            found = self._match(stamp_ns, points, T_guess)
+        else:
+            found = self._located(stamp_ns, T_guess, np.diag(UNMATCHED), "not needed", 0)
+        if is_learning and self._is_good(pose, found):
+            self._learned_ns = stamp_ns
+            T = T_guess if pose.source is PositionSource.RTK_FIXED else found.T_map_base
+            self._map.learn(points, np.array(Pose2.of(T)))
         return [(LIDAR_LOCALIZATION, found)]
 
     def _newest(self, inbox: Inbox) -> dict[str, tuple[LidarScan, LidarGround]]:
