@@ -10,7 +10,7 @@ from configs.strict import Config
 from configs.vehicle import Vehicle
 from geometry.arrays import Bool, Float64
 from geometry.transforms import apply, interpolate, invert
-from localization.lidar.scan_matching import Match, MatchingConfig, ScanMatcher, deskew
+from localization.lidar.scan_matching import MatchingConfig, ScanMatcher, deskew, level_of
 from messages.errors import ConfigError
 from messages.motion import LidarOdometry, Odometry
 from messages.node import All, At, Inbox, Node, On, Output, Read
@@ -52,7 +52,7 @@ class LidarOdometryNode(Node):
         self.runs = On((self._ground,))
         self._config, self._body = config, vehicle.body
         self._T_base_lidar, self._sweep_s = lidar.mount.T_base_sensor, 1.0 / lidar.rate_hz
-        self._matcher = ScanMatcher(config.matching)
+        self._matcher = ScanMatcher(config.matching, lidar.mount.T_base_sensor[:3, 3])
         self._waiting: dict[int, LidarScan] = {}
         self._previous_ns: int | None = None
         self._step, self._step_ns = np.eye(4), 1
@@ -75,16 +75,20 @@ class LidarOdometryNode(Node):
         if previous_ns is not None and 0 < stamp_ns - previous_ns < 0.95e9 * self._config.period_s:
             return []
         if previous_ns is None or not 0 < stamp_ns - previous_ns <= self._config.max_gap_s * 1e9:
-            self._matcher.reset()
+            odom = inbox.at("odom", Odometry, stamp_ns)
+            self._matcher.reset(None if odom is None else level_of(odom.T_odom_base))
             previous_ns, self._step = None, np.eye(4)
         guess = self._odom_between(inbox, previous_ns, stamp_ns) if previous_ns is not None else np.eye(4)
         before = self._matcher.T_local_body
         sweep = self._odom_between(inbox, stamp_ns - round(self._sweep_s * 1e9), stamp_ns)
         result = self._matcher.match(self._points(scan, ground, sweep), guess)
-        self._step = invert(before) @ self._matcher.T_local_body
+        self._step = np.asarray(invert(before) @ result.T_local_body)
         self._step_ns = stamp_ns - (previous_ns if previous_ns is not None else stamp_ns - 1)
         self._previous_ns = stamp_ns
-        return [] if previous_ns is None else [_message(stamp_ns, previous_ns, invert(before), result)]
+        if previous_ns is None:
+            return []
+        covariance, reason = result.covariance.copy(), result.reason
+        return [LidarOdometry(stamp_ns, previous_ns, self._step, covariance, not reason, reason, result.points)]
 
     def _odom_between(self, inbox: Inbox, start_ns: int, end_ns: int) -> Float64:
         """Motion by dead reckoning; extrapolates the previous step where that is not available."""
@@ -116,10 +120,3 @@ class LidarOdometryNode(Node):
         )
         behind = (x < 0.0) & (x > -cfg.implement_rear_m) & (y < cfg.implement_half_width_m)
         return np.asarray(on_body | behind)
-
-
-def _message(stamp_ns: int, previous_ns: int, T_previous_local: Float64, result: Match) -> LidarOdometry:
-    T = np.asarray(T_previous_local @ result.T_local_body)
-    return LidarOdometry(
-        stamp_ns, previous_ns, T, result.covariance.copy(), not result.reason, result.reason, result.points
-    )

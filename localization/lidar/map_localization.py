@@ -12,14 +12,23 @@ import shapely
 from pydantic import Field
 
 from configs.site import Shed
-from configs.strict import Config
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from geometry.transforms import invert, planar, yaw_of
-from localization.lidar.scan_preprocessing import ScanPoints, ScanPreprocessor
+from localization.lidar.scan_matching import (
+    UNOBSERVED,
+    MatchLimits,
+    in_body,
+    level_of,
+    rejection_of,
+    rotated,
+    rows_of,
+    thin,
+)
+from localization.lidar.scan_preprocessing import ScanPreprocessor
 from localization.lidar.shed_search import ShedSearch, ShedSearchConfig
-from localization.lidar.surface_map import SurfaceMap, SurfaceMapConfig
+from localization.lidar.surface_map import SurfaceMap
 from messages.motion import LidarLocalization, MapPose, Odometry, PositionSource
 from messages.node import All, At, Every, Inbox, Latest, Node, Output, Read
 from messages.perception import LidarGround
@@ -27,28 +36,18 @@ from messages.sensors import LidarScan
 
 LIDAR_LOCALIZATION = "lidar_localization"
 UNMATCHED = np.square([100.0, 100.0, math.pi])  # variances of x, y (m²) and yaw (rad²) without a match
-UNOBSERVED = np.square([0.1, 0.1, 0.0, 0.0, 0.0, 10.0])  # variances of roll, pitch (rad²) and height (m²)
 
 
-class LidarMapConfig(Config):
+class LidarMapConfig(MatchLimits):
     """Section `lidar_map` of localization."""
 
     period_s: float = Field(ge=0.05, le=2.0)
-    range_m: tuple[float, float] = Field(description="nearest and farthest return used")
     margin_m: float = Field(ge=0.0, le=5.0, description="self filter about machine and implement")
-    voxel_m: float = Field(gt=0.0, le=2.0)
-    max_points: int = Field(ge=50, le=20000, description="matched in one scan")
-    min_points: int = Field(ge=10, le=10000)
     near_shed_m: float = Field(ge=0.0, le=200.0, description="distance with matching in spite of fixed ambiguities")
     learn_period_s: float = Field(gt=0.0, le=60.0, description="between learned scans")
     learn_sigma_m: float = Field(gt=0.0, le=1.0, description="maximum sigma of a pose to learn from")
     learn_sigma_deg: float = Field(gt=0.0, le=10.0)
-    max_sigma_m: float = Field(gt=0.0, le=1.0, description="of the weakest direction")
-    max_sigma_deg: float = Field(gt=0.0, le=10.0)
-    max_step_m: float = Field(gt=0.0, le=5.0, description="from the initial guess")
-    max_turn_deg: float = Field(gt=0.0, le=20.0)
     floor_sigma_m: float = Field(gt=0.0, le=1.0, description="of height 0 on the level floor of the shed")
-    surfaces: SurfaceMapConfig
     search: ShedSearchConfig
 
 
@@ -77,9 +76,7 @@ class LidarMap(Node):
         self._learned_ns: int | None = None
         self._search = ShedSearch(config.search, shed) if shed is not None and lidars else None
         self._searched_ns: int | None = None
-        none = np.zeros((0, 5))
-        self._map.match(none, np.zeros(3))  # compiles the kernels or loads them from the cache
-        self._map.learn(none, np.zeros(3))
+        self._map.warm()
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Matches the newest scan of every lidar and learns from it; where no match is needed, the result says so."""
@@ -121,9 +118,7 @@ class LidarMap(Node):
         self, pairs: Mapping[str, tuple[LidarScan, LidarGround]], odom: Odometry, inbox: Inbox, T_map_base: Float64
     ) -> Float64:
         """Points (N, 5) in level axes about base with height in `map` and origin of their lidar; see map_kernels.py."""
-        level = planar(0.0, 0.0, -yaw_of(T_map_base)) @ T_map_base
-        level[:2, 3] = 0.0
-        rows = []
+        level, rows = level_of(T_map_base), []
         for name, (scan, ground) in pairs.items():
             lidar = self._lidars[name]
             then = inbox.at("odom", Odometry, scan.stamp_ns)
@@ -132,7 +127,8 @@ class LidarMap(Node):
                 continue
             T_sweep = invert(before.T_odom_base) @ then.T_odom_base
             T = level @ invert(odom.T_odom_base) @ then.T_odom_base
-            rows.append(_rows(lidar.process(scan, ground, T_sweep), T))
+            found = lidar.process(scan, ground, T_sweep)
+            rows.append(rows_of(found.points_base_m, found.sensor_origin_base_m, T))
         return np.concatenate(rows) if rows else np.zeros((0, 5))
 
     def _searched(
@@ -146,27 +142,24 @@ class LidarMap(Node):
         if not len(points):  # `odom` does not reach back over the sweep yet
             return []
         self._searched_ns = stamp_ns
-        found = self._search.find(self._map, self._thinned(points))
-        T = _rotated(odom.T_odom_base, float(found.pose[2]) - yaw_of(odom.T_odom_base))
+        found = self._search.find(self._map, thin(points, self._config.max_points))
+        T = rotated(odom.T_odom_base, float(found.pose[2]) - yaw_of(odom.T_odom_base))
         T[:3, 3] = *found.pose[:2], 0.0
         return [(LIDAR_LOCALIZATION, self._located(stamp_ns, T, found.covariance, found.reason, found.points))]
 
     def _match(self, stamp_ns: int, points: Float64, T_guess: Float64) -> LidarLocalization:
         cfg, guess = self._config, np.array(Pose2.of(T_guess))
-        pose, covariance, found = self._map.match(self._thinned(points), guess)
-        reason = _rejection_reason(pose - guess, covariance, found, cfg)
-        T = np.asarray(planar(pose[0] - guess[0], pose[1] - guess[1], 0.0) @ _rotated(T_guess, pose[2] - guess[2]))
+        pose, covariance, found = self._map.match(thin(points, cfg.max_points), guess)
+        reason = rejection_of(pose - guess, covariance, found, cfg)
+        T = np.asarray(planar(pose[0] - guess[0], pose[1] - guess[1], 0.0) @ rotated(T_guess, pose[2] - guess[2]))
         return self._located(stamp_ns, T, covariance, reason, found)
-
-    def _thinned(self, points: Float64) -> Float64:
-        return np.ascontiguousarray(points[:: max(1, math.ceil(len(points) / self._config.max_points))])
 
     def _located(self, stamp_ns: int, T: Float64, covariance: Float64, reason: str, found: int) -> LidarLocalization:
         """Message with the height of the level floor under the roof; `covariance` (3, 3) of x, y, yaw in `map`."""
         unobserved = UNOBSERVED.copy()
         if self._roof.contains(shapely.Point(T[:2, 3])):
             T[2, 3], unobserved[5] = 0.0, self._config.floor_sigma_m**2
-        return LidarLocalization(stamp_ns, T, _in_base(covariance, unobserved, yaw_of(T)), not reason, reason, found)
+        return LidarLocalization(stamp_ns, T, in_body(covariance, unobserved, yaw_of(T)), not reason, reason, found)
 
     def _distance(self, T_map_base: Float64) -> float:
         return float(self._roof.distance(shapely.Point(T_map_base[:2, 3]))) if not self._roof.is_empty else math.inf
@@ -179,38 +172,3 @@ class LidarMap(Node):
             return False
         position, yaw = np.linalg.eigvalsh(pose.covariance[3:5, 3:5])[1], pose.covariance[2, 2]
         return bool(position < cfg.learn_sigma_m**2 and yaw < math.radians(cfg.learn_sigma_deg) ** 2)
-
-
-def _rows(scan: ScanPoints, T_level_base: Float64) -> Float64:
-    origin = T_level_base[:3, :3] @ scan.sensor_origin_base_m + T_level_base[:3, 3]
-    p = scan.points_base_m @ T_level_base[:3, :3].T + T_level_base[:3, 3]
-    return np.column_stack([p, np.broadcast_to(origin[:2], (len(p), 2))])
-
-
-def _rotated(T: Float64, angle_rad: float) -> Float64:
-    out = planar(0.0, 0.0, angle_rad) @ T
-    out[:3, 3] = T[:3, 3]
-    return np.asarray(out)
-
-
-def _in_base(covariance: Float64, unobserved: Float64, yaw_rad: float) -> Float64:
-    """Covariance (6, 6), rotation and translation in base, from that of (x, y, yaw) in `map`."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    J = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    out, observed = np.diag(unobserved), [3, 4, 2]
-    out[np.ix_(observed, observed)] = J @ covariance @ J.T
-    return out
-
-
-def _rejection_reason(step: Float64, covariance: Float64, found: int, config: LidarMapConfig) -> str:
-    """Reason to reject a match, "" when valid."""
-    if found < config.min_points:
-        return f"only {found} returns on the map"
-    sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[1]))
-    if sigma > config.max_sigma_m:
-        return f"degenerate: {sigma:.3f} m in the weakest direction"
-    if math.sqrt(covariance[2, 2]) > math.radians(config.max_sigma_deg):
-        return "degenerate: heading"
-    if math.hypot(step[0], step[1]) > config.max_step_m or abs(step[2]) > math.radians(config.max_turn_deg):
-        return "far from the first guess"
-    return ""

@@ -1,44 +1,46 @@
-"""Scan matching against a local map (KISS-ICP), and covariance from the geometry of the points.
+"""Scan matching: pose of base against surfaces of the scans before it.
 
-Vizzo et al. 2023, "KISS-ICP: In Defense of Point-to-Point ICP"; here dead reckoning gives the initial guess and the
-motion for deskewing.
+Each point counts only across the thin directions of its surface. Point-to-point matching (KISS-ICP) of sparse rings on
+a hedge or fence along the path gives too little motion, since rings move with the sensor: `benchmark lidar_odometry`.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from kiss_icp.mapping import VoxelHashMap
-from kiss_icp.registration import Registration
 from pydantic import Field
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from configs.strict import Config
 from geometry.arrays import Float64
-from geometry.transforms import invert, rotation_vector
+from geometry.pose2 import Pose2
+from geometry.transforms import planar, rotation_vector, yaw_of
 from localization.dead_reckoning.kernels import first_in_voxel, move_points
+from localization.lidar.surface_map import SurfaceMap, SurfaceMapConfig
+
+UNOBSERVED = np.square([0.1, 0.1, 0.0, 0.0, 0.0, 10.0])  # variances of roll, pitch (rad²) and height (m²)
 
 
-class MatchingConfig(Config):
-    """Size of map and match, and limits of a valid result."""
+class MatchLimits(Config):
+    """Points that are matched, and limits of a valid match."""
 
     range_m: tuple[float, float] = Field(description="nearest and farthest return used")
-    voxel_m: float = Field(gt=0.05, le=5.0)
-    points_per_voxel: int = Field(ge=1, le=100)
+    voxel_m: float = Field(gt=0.0, le=2.0)
     max_points: int = Field(ge=50, le=20000, description="matched in one scan")
-    geometry_points: int = Field(ge=10, le=20000, description="used for the covariance")
-    iterations: int = Field(ge=1, le=500)
-    convergence: float = Field(gt=0.0, le=0.1)
-    kernel_m: float = Field(gt=0.0, le=5.0, description="robust loss; 1/3 of the maximum distance of correspondences")
-    neighbours: int = Field(ge=3, le=30)
-    point_sigma_m: float = Field(gt=0.0, le=1.0, description="of one matched point, including common errors")
-    texture_m: float = Field(gt=0.0, le=1.0, description="neighbourhoods of larger extent do not constrain a direction")
-    min_points: int = Field(ge=10, le=10000)
+    min_points: int = Field(ge=10, le=10000, description="on a surface")
     max_sigma_m: float = Field(gt=0.0, le=1.0, description="of the weakest horizontal direction")
-    max_yaw_sigma_deg: float = Field(gt=0.0, le=10.0)
+    max_sigma_deg: float = Field(gt=0.0, le=10.0)
     max_step_m: float = Field(gt=0.0, le=5.0, description="from the initial guess")
     max_turn_deg: float = Field(gt=0.0, le=20.0)
+    surfaces: SurfaceMapConfig
+
+
+class MatchingConfig(MatchLimits):
+    """Section `matching` of lidar odometry."""
+
+    learn_m: float = Field(gt=0.0, le=10.0, description="motion between scans that are added to the map")
+    first_scans: int = Field(ge=1, le=100, description="added to a new map without motion")
+    lost_scans: int = Field(ge=1, le=100, description="rejected in a row: a new map begins")
 
 
 @dataclass(frozen=True)
@@ -60,90 +62,99 @@ def deskew(points_m: Float64, offset_s: Float64, T_start_end: Float64, duration_
 
 def thin(points_m: Float64, max_points: int) -> Float64:
     """Every n-th point, at most `max_points`."""
-    return points_m[:: max(1, math.ceil(len(points_m) / max_points))]
+    return np.ascontiguousarray(points_m[:: max(1, math.ceil(len(points_m) / max_points))])
 
 
-def information_matrix(points_m: Float64, cloud_m: Float64, neighbours: int, texture_m: float) -> Float64:
-    """Information matrix (6, 6) of points (N, 3) on a motion about their origin, rotation then translation, unit sigma.
-
-    Each point counts only in directions in which its neighbourhood in its cloud (M, 3) is thin: across a wall, around
-    a pole.
-    """
-    _, near = cKDTree(cloud_m, compact_nodes=False, balanced_tree=False).query(
-        points_m, k=min(neighbours, len(cloud_m))
-    )
-    groups = cloud_m[near]
-    spread = groups - groups.mean(axis=1, keepdims=True)
-    values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread) / groups.shape[1])
-    weight = texture_m**2 / (texture_m**2 + np.maximum(values, 0.0))
-    weight[weight < 0.5] = 0.0
-    W = np.einsum("nik,nk,njk->nij", axes, weight, axes)
-    A = np.zeros((len(points_m), 3, 6))
-    x, y, z = points_m.T
-    A[:, 0, 1], A[:, 0, 2], A[:, 1, 0] = z, -y, -z
-    A[:, 1, 2], A[:, 2, 0], A[:, 2, 1] = x, y, -x
-    A[:, 0, 3] = A[:, 1, 4] = A[:, 2, 5] = 1.0
-    return np.asarray((W @ A).reshape(-1, 6).T @ A.reshape(-1, 6))
+def level_of(T: Float64) -> Float64:
+    """Transform from base to level axes about it without yaw; heights are those of `T`."""
+    level = planar(0.0, 0.0, -yaw_of(T)) @ T
+    level[:2, 3] = 0.0
+    return np.asarray(level)
 
 
-def match_covariance(information: Float64, sigma_m: float) -> Float64:
-    """Covariance (6, 6) of a match; unobservable directions get a sigma of 1 rad or 1 m."""
-    return np.asarray(np.linalg.inv(information / sigma_m**2 + np.eye(6)))
+def rows_of(points_base_m: Float64, origin_base_m: Float64, T_level_base: Float64) -> Float64:
+    """Points (N, 3) with the origin (3,) of their lidar as (N, 5), see map_kernels.py."""
+    origin = T_level_base[:3, :3] @ origin_base_m + T_level_base[:3, 3]
+    p = points_base_m @ T_level_base[:3, :3].T + T_level_base[:3, 3]
+    return np.column_stack([p, np.broadcast_to(origin[:2], (len(p), 2))])
 
 
-def rejection_of(match_T: Float64, guess_T: Float64, covariance: Float64, config: MatchingConfig) -> str:
-    """Reason to reject a match, "" when valid."""
-    sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[3:5, 3:5])[1]))
-    if sigma > config.max_sigma_m:
+def rotated(T: Float64, angle_rad: float) -> Float64:
+    """Pose turned about the vertical at its own place."""
+    out = planar(0.0, 0.0, angle_rad) @ T
+    out[:3, 3] = T[:3, 3]
+    return np.asarray(out)
+
+
+def in_body(covariance: Float64, unobserved: Float64, yaw_rad: float) -> Float64:
+    """Covariance (6, 6), rotation and translation in the body, from that of (x, y, yaw) in the map."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    J = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    out, observed = np.diag(unobserved), [3, 4, 2]
+    out[np.ix_(observed, observed)] = J @ covariance @ J.T
+    return out
+
+
+def rejection_of(step: Float64, covariance: Float64, found: int, limits: MatchLimits) -> str:
+    """Reason to reject a match that is a step (x, y, yaw) from its guess, "" when valid."""
+    if found < limits.min_points:
+        return f"only {found} returns on the map"
+    sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[1]))
+    if sigma > limits.max_sigma_m:
         return f"degenerate: {sigma:.3f} m in the weakest direction"
-    if math.degrees(math.sqrt(covariance[2, 2])) > config.max_yaw_sigma_deg:
+    if math.sqrt(covariance[2, 2]) > math.radians(limits.max_sigma_deg):
         return "degenerate: heading"
-    step = invert(guess_T) @ match_T
-    turn = float(np.linalg.norm(rotation_vector(step[:3, :3])))
-    if float(np.linalg.norm(step[:3, 3])) > config.max_step_m or math.degrees(turn) > config.max_turn_deg:
-        return "far from dead reckoning"
+    if math.hypot(step[0], step[1]) > limits.max_step_m or abs(step[2]) > math.radians(limits.max_turn_deg):
+        return "far from the first guess"
     return ""
 
 
 class ScanMatcher:
-    """Local map and the pose of the body in it."""
+    """Local map and the pose of the body in it; `origin_m` (3,) of the lidar in the body."""
 
-    def __init__(self, config: MatchingConfig) -> None:
-        self._config = config
-        self._registration = Registration(config.iterations, config.convergence, max_num_threads=1)
-        self._map = VoxelHashMap(config.voxel_m, 1.5 * config.range_m[1], config.points_per_voxel)
-        self.T_local_body = np.eye(4)
+    def __init__(self, config: MatchingConfig, origin_m: Float64) -> None:
+        self._config, self._origin_m = config, origin_m
+        self.reset()
+        self._map.warm()
 
-    def reset(self) -> None:
-        """Starts a new map."""
-        self._map.clear()
-        self.T_local_body = np.eye(4)
+    def reset(self, T_level_body: Float64 | None = None) -> None:
+        """Starts a new map, at an attitude without yaw if that is known."""
+        self._map = SurfaceMap(self._config.surfaces, None)
+        self.T_local_body = np.eye(4) if T_level_body is None else T_level_body.copy()
+        self._learned_m: Float64 | None = None
+        self._scans = self._lost = 0
 
     def match(self, points_m: Float64, T_previous_now: Float64) -> Match:
-        """Matches points (N, 3) in the body from the initial guess, and adds them to the map."""
-        cfg = self._config
-        guess = self.T_local_body @ T_previous_now
-        fine = points_m[first_in_voxel(points_m, 0.5 * cfg.voxel_m)]
-        source = thin(fine[first_in_voxel(fine, 0.75 * cfg.voxel_m)], cfg.max_points)
-        match = self._align(source, fine, guess)
-        self.T_local_body = _orthonormal(guess if match.reason else match.T_local_body)
-        if len(fine):
-            self._map.update(fine, self.T_local_body)
+        """Matches points (N, 3) in the body from the initial guess, and adds them to the map after some motion."""
+        cfg, T_guess = self._config, self.T_local_body @ T_previous_now
+        points_m = points_m[first_in_voxel(points_m, cfg.voxel_m)]
+        rows = rows_of(points_m, self._origin_m, level_of(T_guess))
+        match = self._align(rows, T_guess)
+        self.T_local_body = _orthonormal(match.T_local_body)
+        self._lost = self._lost + 1 if match.reason and self._scans else 0
+        if self._lost >= cfg.lost_scans:
+            self.reset(_orthonormal(level_of(self.T_local_body)))
+        if not self._lost:
+            self._learn(rows)
         return match
 
-    def _align(self, source: Float64, fine: Float64, guess: Float64) -> Match:
-        cfg, unknown = self._config, np.eye(6)
-        if len(source) < cfg.min_points:
-            return Match(guess, unknown, f"only {len(source)} points", len(source))
-        if self._map.empty():
-            return Match(guess, unknown, "first scan", len(source))
-        T = self._registration.align_points_to_map(source, self._map, guess, 3.0 * cfg.kernel_m, cfg.kernel_m)
-        if not bool(np.isfinite(T).all()):
-            return Match(guess, unknown, "did not converge", len(source))
-        part = thin(source, cfg.geometry_points)
-        information = information_matrix(part, fine, cfg.neighbours, cfg.texture_m) * (len(source) / len(part))
-        covariance = match_covariance(information, cfg.point_sigma_m)
-        return Match(T, covariance, rejection_of(T, guess, covariance, cfg), len(source))
+    def _align(self, rows: Float64, T_guess: Float64) -> Match:
+        cfg, guess = self._config, np.array(Pose2.of(T_guess))
+        if not self._scans:
+            return Match(T_guess, np.eye(6), f"first scan of {len(rows)} points", 0)
+        min_scans = min(self._scans, cfg.surfaces.min_scans)
+        pose, covariance, found = self._map.match(thin(rows, cfg.max_points), guess, min_scans)
+        step = pose - guess
+        reason = rejection_of(step, covariance, found, cfg)
+        T = T_guess if reason else planar(step[0], step[1], 0.0) @ rotated(T_guess, step[2])
+        return Match(np.asarray(T), in_body(covariance, UNOBSERVED, yaw_of(T)), reason, found)
+
+    def _learn(self, rows: Float64) -> None:
+        at_m, last_m = self.T_local_body[:2, 3].copy(), self._learned_m
+        is_new = self._scans < self._config.first_scans
+        if is_new or last_m is None or math.dist(at_m, last_m) >= self._config.learn_m:
+            self._map.learn(rows, np.array(Pose2.of(self.T_local_body)))
+            self._scans, self._learned_m = self._scans + 1, at_m
 
 
 def _orthonormal(T: Float64) -> Float64:

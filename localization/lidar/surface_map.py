@@ -43,6 +43,11 @@ class SurfaceMap:
         self._table: Table = np.full(size, EMPTY, np.int64), np.zeros((size, 6)), np.zeros((size, 2), np.int64)
         self._scans = self._cells = 0
 
+    def warm(self) -> None:
+        """Compiles the kernels or loads them from the cache."""
+        self.match(np.zeros((0, 5)), np.zeros(3))
+        insert(*self._table, np.zeros((0, 5)), np.zeros(3), self._config.cell_m, self._config.max_points_per_cell, 0)
+
     def learn(self, points: Float64, pose: Float64) -> None:
         """Adds one scan at a pose (x, y, yaw); points (N, 5) as in map_kernels.py."""
         cfg, size = self._config, len(self._table[0])
@@ -54,12 +59,12 @@ class SurfaceMap:
         self._scans += 1
         self._cells += insert(*self._table, points, pose, cfg.cell_m, cfg.max_points_per_cell, self._scans)
 
-    def match(self, points: Float64, guess: Float64) -> tuple[Float64, Float64, int]:
-        """Pose (x, y, yaw), covariance (3, 3) and number of points with a surface."""
+    def match(self, points: Float64, guess: Float64, min_scans: int | None = None) -> tuple[Float64, Float64, int]:
+        """Pose (x, y, yaw), covariance (3, 3) and number of points with a surface measured in `min_scans`."""
         cfg = self._config
         pose, information, found = match(
             points, guess, self._surveyed, self._table, cfg.cell_m, cfg.gate_m, cfg.point_sigma_m, cfg.max_thickness_m,
-            cfg.robust_sigmas, cfg.min_scans, cfg.iterations,
+            cfg.robust_sigmas, cfg.min_scans if min_scans is None else min_scans, cfg.iterations,
         )  # fmt: skip
         floor = np.square([cfg.floor_m, cfg.floor_m, math.radians(cfg.floor_deg)])
         return pose, cfg.correlated_points * np.linalg.inv(information + 1e-3 * np.eye(3)) + np.diag(floor), found

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from geometry.transforms import transform
-from localization.dead_reckoning.kernels import first_in_voxel
 from localization.lidar.lidar_odometry import LidarOdometryNode
 from localization.lidar.odometry_spans import OdometrySpans
-from localization.lidar.scan_matching import ScanMatcher, deskew, information_matrix, match_covariance, rejection_of
+from localization.lidar.scan_matching import ScanMatcher, deskew, rejection_of
 from messages.errors import ConfigError
 from messages.motion import LidarOdometry
 from tests.localization.harness import StubInbox, configuration, errors, run
@@ -74,26 +73,59 @@ def test_gap_starts_new_map():
 def test_covariance_of_wall_and_corner():
     rng = np.random.default_rng(1)
     wall = np.column_stack([rng.uniform(-20, 20, 3000), 5 + rng.normal(0, 0.02, 3000), rng.uniform(0, 2, 3000)])
-    other = wall[:, [1, 0, 2]]
-    wall, other = (w[first_in_voxel(w, 0.4)] for w in (wall, other))
-    one = match_covariance(information_matrix(wall[:200], wall, 8, 0.12), 0.1)
-    assert one[3, 3] > 0.2**2
-    assert one[4, 4] < 0.02**2
-    both = np.vstack([wall[:200], other[:200]])
-    two = match_covariance(information_matrix(both, np.vstack([wall, other]), 8, 0.12), 0.1)
-    assert max(two[3, 3], two[4, 4]) < 0.02**2
+    sigma = {}
+    for name, points in (("wall", wall), ("corner", np.vstack([wall, wall[:, [1, 0, 2]]]))):
+        matcher = ScanMatcher(MATCHING, np.zeros(3))
+        results = [matcher.match(points, np.eye(4)) for _ in range(4)]
+        sigma[name] = np.sqrt(np.diag(results[-1].covariance)[3:5])
+    assert sigma["wall"][0] > 0.2 or "degenerate" in results[-1].reason
+    assert sigma["wall"][1] < 0.02
+    assert max(sigma["corner"]) < 0.02
+
+
+def test_rings_on_a_fence_are_no_standstill():
+    """A fence along the path and some posts: rings that move with the lidar must not hold the match back."""
+    matcher, rng = ScanMatcher(MATCHING, np.array([0.0, 0.0, 2.0])), np.random.default_rng(3)
+    posts = np.column_stack([rng.uniform(-40, 60, 25), rng.choice([-9.0, 9.0], 25) + rng.uniform(-1, 1, 25)])
+    moved = []
+    for k in range(25):
+        x = 0.0 if k < 6 else 0.15 * (k - 5)
+        azimuth = np.radians(np.arange(10.0, 170.0, 0.4))
+        rings = [np.column_stack([8.0 / np.tan(azimuth), np.full(len(azimuth), 8.0), np.full(len(azimuth), z)])
+                 for z in (0.5, 0.9, 1.3, 1.7)]  # fmt: skip
+        angles = np.linspace(0, 2 * np.pi, 12)
+        around = [np.column_stack([p[0] - x + 0.1 * np.cos(angles), p[1] + 0.1 * np.sin(angles), np.full(12, z)])
+                  for p in posts for z in (0.5, 0.9, 1.3, 1.7)]  # fmt: skip
+        points = np.vstack([*rings, *around])
+        points = points[np.linalg.norm(points, axis=1) < 50.0] + rng.normal(0, 0.01, (1, 3))
+        before = matcher.T_local_body
+        match = matcher.match(points, transform((0.6 * (0.15 if k >= 6 else 0.0), 0, 0)))  # wheels say too little
+        moved.append((np.linalg.inv(before) @ match.T_local_body)[0, 3])
+    assert np.abs(np.sum(moved) - 0.15 * 19) < 0.1
+
+
+def test_lost_matcher_begins_a_new_map():
+    rng = np.random.default_rng(4)
+    one, other = yard(), yard() @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + [7.0, 3.0, 0.0]
+    matcher, reasons = ScanMatcher(MATCHING, np.zeros(3)), []
+    for k in range(24):
+        points = (one if k < 8 else other) + rng.normal(0, 0.01, (1, 3))
+        reasons.append(matcher.match(points, np.eye(4)).reason)
+    assert not any(reasons[2:8])
+    assert all(reasons[8 : 8 + MATCHING.lost_scans])
+    assert not any(reasons[-6:])
 
 
 @pytest.mark.parametrize(("share", "is_rejected"), [(0.97, False), (0.999, False), (1.001, True), (1.03, True)])
 def test_rejection_limits(share, is_rejected):
-    small = np.eye(6) * 1e-8
-    far = transform((0.0, share * MATCHING.max_step_m, 0.0))
-    assert bool(rejection_of(far, np.eye(4), small, MATCHING)) is is_rejected
-    turned = transform((0, 0, 0), (0, 0, share * np.radians(MATCHING.max_turn_deg)))
-    assert bool(rejection_of(turned, np.eye(4), small, MATCHING)) is is_rejected
+    small, many = np.eye(3) * 1e-8, MATCHING.min_points
+    assert bool(rejection_of(np.array([0.0, share * MATCHING.max_step_m, 0.0]), small, many, MATCHING)) is is_rejected
+    turn = np.array([0.0, 0.0, share * np.radians(MATCHING.max_turn_deg)])
+    assert bool(rejection_of(turn, small, many, MATCHING)) is is_rejected
     weak = small.copy()
-    weak[4, 4] = (share * MATCHING.max_sigma_m) ** 2
-    assert bool(rejection_of(np.eye(4), np.eye(4), weak, MATCHING)) is is_rejected
+    weak[1, 1] = (share * MATCHING.max_sigma_m) ** 2
+    assert bool(rejection_of(np.zeros(3), weak, many, MATCHING)) is is_rejected
+    assert rejection_of(np.zeros(3), small, many - 1, MATCHING)
 
 
 def test_deskew_to_end_of_sweep():
@@ -148,8 +180,8 @@ def test_unknown_sensor_raises():
 @needs("kitti-seq-pcd/frames")
 def test_matching_of_kitti_scans():
     """KITTI 2011_09_26_drive_0005, the first second: a bend at about 12 km/h (10 Hz: 0.33 m, 0.75° a scan)."""
-    cfg = MATCHING.model_copy(update={"max_step_m": 2.0, "max_turn_deg": 10.0, "kernel_m": 0.5})
-    matcher, step, before, found = ScanMatcher(cfg), np.eye(4), np.eye(4), []
+    cfg = MATCHING.model_copy(update={"max_step_m": 2.0, "max_turn_deg": 10.0})
+    matcher, step, before, found = ScanMatcher(cfg, np.zeros(3)), np.eye(4), np.eye(4), []
     for path in sorted(KITTI.glob("*.npz"))[:9]:
         p = np.load(path)["xyz_5mm"].astype(np.float64)[::3] * 0.005
         r = np.linalg.norm(p, axis=1)
