@@ -141,7 +141,7 @@ class ScanMatcher:
     def _align(self, rows: Float64, T_guess: Float64) -> Match:
         cfg, guess = self._config, np.array(Pose2.of(T_guess))
         if not self._scans:
-            return Match(T_guess, np.eye(6), f"first scan of {len(rows)} points", 0)
+            return Match(T_guess, np.eye(6), f"first scan of {len(rows)} returns", 0)
         min_scans = min(self._scans, cfg.surfaces.min_scans)
         pose, covariance, found = self._map.match(thin(rows, cfg.max_points), guess, min_scans)
         step = pose - guess

@@ -57,7 +57,7 @@ def test_too_few_points_are_invalid(world):
     _, motions = motions_in(world, seconds=2.0)
     assert motions
     assert not any(m.is_valid for m in motions)
-    assert all("points" in m.reason for m in motions)
+    assert all("returns" in m.reason for m in motions)
 
 
 def test_gap_starts_new_map():
