@@ -30,6 +30,7 @@ KEPT_BESIDE = 2  # returns of a body, next to which a scattered one is its edge
 IN_RING = 4 / 14  # of the places next to a return
 SUGGESTIVE, SIGNIFICANT = 1.0, 3.0  # sigmas by which fewer have one neighbour than none, in a sample and of all
 DENSEST, DENSE_SLACK = 2.0, 1.5  # greatest mean of neighbours by chance; returns with two over those by chance
+MEMORY, FRESH_M = 0.9, 0.1  # share of a sum of scans that the next keeps; change of range in a place that is new
 BY_CHANCE = 0.5  # random returns of a scan and band that are left over, on average
 SLACK_RAD = 1e-6  # for rounding
 STEEPEST, SLOPE_STEPS = 8.0, 2000.0  # greatest slope of the table of rings (83 degrees), and its steps per unit
@@ -125,16 +126,40 @@ def dust(image: RangeImage, pixels: Int64, within_m: float, least: int) -> Bool:
     return is_dust & (np.count_nonzero(is_dust) >= least)
 
 
-def scattered(image: RangeImage, pixels: Int64) -> Bool:
+class ScatterMemory:
+    """Counts of the last scans of one lidar, for lidars with too few returns to show thin fog in one.
+
+    Only returns at another range than in the scan before count: scatter is new in each, a body of single returns stays.
+    """
+
+    def __init__(self) -> None:
+        self._before: UInt16 = np.zeros((0, 0), np.uint16)
+        self.counts: Float64 = np.zeros((3, len(BANDS_M), SECTORS))
+        self.scans = 0.0
+
+    def before(self, ranges_mm: UInt16) -> UInt16:
+        """Ranges of the scan before, those of this one where that had other beams."""
+        last, self._before = self._before, ranges_mm
+        if last.shape == ranges_mm.shape:
+            return last
+        self.counts[:], self.scans = 0.0, 0.0
+        return ranges_mm
+
+    def add(self, counts: Int64) -> None:
+        """Takes the counts (3, B, S) of a scan."""
+        self.counts, self.scans = MEMORY * self.counts + counts, MEMORY * self.scans + 1.0
+
+
+def scattered(image: RangeImage, pixels: Int64, memory: ScatterMemory | None = None) -> Bool:
     """Which returns of a whole scan, by their places `pixels` (K,) in the flattened image, are of fog, rain or dense
-    dust, (K,).
+    dust, (K,). With a `memory` the scans before are evidence too.
 
     Returns that lie in the air at random have a Poisson number of others next to them: in a band of ranges fewer have
     one than none, while of plants and other bodies more have. Those with no more than chance gives, in all and in their
     ring, are scattered, and those that are isolated without them, in the sectors of the field of view that have
     isolated returns. The ground between rings that are far apart has others in its ring alone.
     """
-    most = _most_by_chance(image, pixels)
+    most = _most_by_chance(image, pixels, memory)
     out = np.zeros(len(pixels), np.bool_)
     if most.any():
         beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
@@ -158,7 +183,7 @@ def _sectors(image: RangeImage, pixels: Int64) -> Int64:
     return found
 
 
-def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
+def _most_by_chance(image: RangeImage, pixels: Int64, memory: ScatterMemory | None) -> Int64:
     """Greatest number of neighbours by chance in each sector, band and beyond, in all and in the ring, (S, B + 1, 2), 0
     without scatter.
 
@@ -166,34 +191,49 @@ def _most_by_chance(image: RangeImage, pixels: Int64) -> Int64:
     two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
     """
     beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
+    before = np.zeros_like(image.ranges_mm) if memory is None else memory.before(image.ranges_mm)
     every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
+    counts, fresh = np.zeros((2, 3, len(BANDS_M), SECTORS), np.int64)
     while True:
-        counts = np.zeros((3, len(BANDS_M), SECTORS), np.int64)
-        _count_few(image.ranges_mm, *beams, np.ascontiguousarray(pixels[::every]), counts)  # one kernel for both
-        none, one, _ = counts.sum(axis=2)
-        is_scatter = ((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any()
+        counts[:], fresh[:] = 0, 0
+        some = np.ascontiguousarray(pixels[::every])
+        _count_few(image.ranges_mm, before, *beams, some, counts, fresh)  # one kernel for both
+        is_scatter = _has_scatter(counts, every, sigmas)
         if not is_scatter or (every == 1 and sigmas == SIGNIFICANT):
             break
         every, sigmas = 1, SIGNIFICANT
+    found, scans = counts.astype(np.float64), 1.0
+    if memory is not None:
+        memory.add(every * fresh)
+        if not is_scatter and _has_scatter(memory.counts, 1, SIGNIFICANT * math.sqrt(every)):
+            is_scatter, found, scans = True, memory.counts, memory.scans
     most = np.zeros((SECTORS, len(BANDS_M) + 1, 2), np.int64)
     for band in range(len(BANDS_M) if is_scatter else 0):
-        isolated_here = counts[0, band]
+        isolated_here = found[0, band]
         has_scatter = isolated_here >= LOCAL * isolated_here.mean()
-        most[has_scatter, band] = _limits(*counts[:, band, has_scatter].sum(axis=1).tolist())
+        most[has_scatter, band] = _limits(found[:, band, has_scatter].sum(axis=1), scans)
     return most
 
 
-def _limits(none: int, one: int, two: int) -> tuple[int, int]:
-    """Greatest number of neighbours by chance in a scan with scatter, in all and in the ring, from the numbers of those
-    of a band with 0, 1 and 2: 1 where bodies with gaps prevail, so that only isolated returns are of scatter."""
+def _has_scatter(counts: Float64 | Int64, every: int, sigmas: float) -> bool:
+    none, one, _ = counts.sum(axis=2)
+    return bool(((every * none >= SCATTERED) & (none - one >= sigmas * np.sqrt(none + one))).any())
+
+
+def _limits(counts: Float64, scans: float) -> tuple[int, int]:
+    """Greatest number of neighbours by chance in a scan with scatter, in all and in the ring, from the numbers (3,) of
+    those of a band with 0, 1 and 2 in some scans: 1 where bodies with gaps prevail, so that only isolated returns are
+    of scatter."""
+    none, one, two = counts.tolist()
     mean = one / max(none, 1)
     is_random = one < none or (mean <= DENSEST and 2.0 * two <= DENSE_SLACK * mean * one)
     if none < SCATTERED:
         return 0, 0
-    return (chance_neighbours(none, mean), chance_neighbours(none, mean * IN_RING)) if is_random else (1, 1)
+    of_scan = none / scans
+    return (chance_neighbours(of_scan, mean), chance_neighbours(of_scan, mean * IN_RING)) if is_random else (1, 1)
 
 
-def chance_neighbours(none: int, mean: float) -> int:
+def chance_neighbours(none: float, mean: float) -> int:
     """Greatest number of neighbours that a scan's random returns have by chance, from 1.
 
     `none`: returns without a neighbour; `mean`: number of neighbours of one. Fewer than `BY_CHANCE` have more.
@@ -379,10 +419,11 @@ def _keep_beside(
 
 @kernel
 def _count_few(
-    ranges: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool, pixels: Int64,
-    counts: Int64,
+    ranges: UInt16, before: UInt16, rows: Int64, rank: Int64, elevation: Float64, column_rad: float, is_closed: bool,
+    pixels: Int64, counts: Int64, fresh: Int64,
 ) -> None:  # fmt: skip
-    """Counts the returns with none, one and two others next to them, by band of range and sector, (3, B, S)."""
+    """Counts the returns with none, one and two others next to them, by band of range and sector, (3, B, S); and those
+    of them that are at another range than the one `before` in their place."""
     columns, slants = ranges.shape[1], _slants(rows, elevation, column_rad)
     for k in range(pixels.shape[0]):
         row, column = pixels[k] // columns, pixels[k] % columns
@@ -391,6 +432,8 @@ def _count_few(
             count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
             if count < 3:
                 counts[count, band, column * SECTORS // columns] += 1
+                change_mm = abs(int(ranges[row, column]) - int(before[row, column]))
+                fresh[count, band, column * SECTORS // columns] += change_mm > 1000.0 * FRESH_M
 
 
 @inline_kernel

@@ -22,7 +22,17 @@ from geometry.ground_surface import (
 )
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
-from geometry.range_image import RangeImage, beam_grid, clear_beneath, dust, floating, points_of, range_image, scattered
+from geometry.range_image import (
+    RangeImage,
+    ScatterMemory,
+    beam_grid,
+    clear_beneath,
+    dust,
+    floating,
+    points_of,
+    range_image,
+    scattered,
+)
 from messages.sensors import LidarScan
 from safety.config import SafetyConfig
 from safety.sources.detection_range import (
@@ -77,6 +87,7 @@ class LidarSource:
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
         column_rad = math.radians(lidar.field_of_view_deg) / lidar.columns
+        self._scatter, self._is_body = ScatterMemory(), np.empty(0, np.bool_)
         self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), column_rad)
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
@@ -118,10 +129,11 @@ class LidarSource:
             self._count_repetition(content_of(scan))
             is_list = scan.ranges_mm.size == 0
             self._image = None if is_list else range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
+            self._is_body = ~self._is_scattered(scan)
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
-        xyz, is_body = to_base(scan.points_m, self._T_base_sensor), ~self._is_scattered(scan)
+        xyz, is_body = to_base(scan.points_m, self._T_base_sensor), self._is_body
         body = xyz if is_body.all() else xyz.compress(is_body, axis=1)
         down = self._down_returns(body, curvature_radpm)
         self._update_detection_range(down)
@@ -214,8 +226,8 @@ class LidarSource:
     def _is_scattered(self, scan: LidarScan) -> np.ndarray:
         """Which returns of a scan are of fog, rain or dense dust, (N,) bool."""
         if self._image is None:
-            return scattered(*self._beam_grid.place(scan.points_m))
-        return scattered(self._image, scan.pixels)
+            return scattered(*self._beam_grid.place(scan.points_m), self._scatter)
+        return scattered(self._image, scan.pixels, self._scatter)
 
     def _in_air(self, scan: LidarScan, which: Int64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which of the obstacle returns `which` (K,) of a scan are dust, which float, and which stand, (K,) bool.

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Lidar
-from geometry.range_image import chance_neighbours, clear_beneath, floating, isolated, range_image, scattered
+from geometry.range_image import (
+    ScatterMemory,
+    chance_neighbours,
+    clear_beneath,
+    floating,
+    isolated,
+    range_image,
+    scattered,
+)
 from geometry.range_image import points_of as returns_of
 from tests.perception.lidar_scenes import FRONT, VEHICLE, box, cast
 
@@ -118,6 +126,43 @@ def test_the_ground_of_rings_that_are_far_apart_is_not_scattered() -> None:
         for low_m, high_m in ((3.0, 5.0), (5.0, 7.0), (7.0, 10.0), (10.0, 14.0)):
             own = is_same & (range_m > low_m) & (range_m < high_m)
             assert own.sum() == 0 or found[own].mean() < 0.2, (low_m, found[own].mean())
+
+
+def test_thin_fog_shows_to_a_small_lidar_in_some_scans() -> None:
+    """Of one scan it has too few returns; a body of the same few returns in each scan is none."""
+    corners = box(2.5, 3.0, 0.4, 0.4, 1.7)
+    memory, alone, found = ScatterMemory(), [], []
+    clean = cast([corners], lidar=SIDE, noise_m=0.0)
+    for seed in range(30):
+        foggy = cast([corners], lidar=SIDE, noise_m=0.005, extra=fog(0.012), seed=seed)
+        pixels, image = foggy.pixels, image_of(foggy)
+        is_fog = np.abs(foggy.ranges_mm.ravel()[pixels] - clean.ranges_mm.ravel()[pixels].astype(int)) > 200
+        is_fog &= (points_of(foggy, SIDE)[:, 2] > 0.3) & (1e-3 * foggy.ranges_mm.ravel()[pixels] < 5.0)
+        marked, own = scattered(image, pixels, memory), np.isin(pixels, within(clean, SIDE, corners)) & ~is_fog
+        if seed >= 15:
+            alone.append(scattered(image, pixels)[is_fog].mean())
+            found.append(marked[is_fog].mean())
+            assert marked[own].mean() < 0.1
+    assert np.median(alone) < 0.5
+    assert np.median(found) > 0.9
+
+
+def test_single_returns_that_stay_are_no_fog() -> None:
+    """Twigs and posts give isolated returns at the same places in each scan of a machine that stands."""
+    rng = np.random.default_rng(6)
+    twigs = rng.random((len(SIDE.elevation_deg), SIDE.columns)) < 0.003
+    far_mm = rng.uniform(1500.0, 2900.0, twigs.shape)
+    memory = ScatterMemory()
+    for seed in range(30):
+
+        def stay(mm, noise):
+            found_mm = (far_mm + noise.normal(0.0, 10.0, mm.shape)).astype(np.uint16)
+            return np.where(twigs & ((mm == 0) | (found_mm < mm)), found_mm, mm)
+
+        scan = cast(lidar=SIDE, noise_m=0.01, extra=stay, seed=seed)
+        marked = scattered(image_of(scan), scan.pixels, memory)
+    assert 10 < twigs.sum() < 32  # of more one scan would be taken for fog
+    assert not marked[points_of(scan, SIDE)[:, 2] > 0.5].any()
 
 
 def test_returns_of_plants_are_not_scattered() -> None:
