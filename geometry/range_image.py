@@ -432,8 +432,8 @@ def _count_few(
             count, _, _ = _near(ranges, rows, slants, is_closed, rank[row], column, ranges[row, column], 3)
             if count < 3:
                 counts[count, band, column * SECTORS // columns] += 1
-                change_mm = abs(int(ranges[row, column]) - int(before[row, column]))
-                fresh[count, band, column * SECTORS // columns] += change_mm > 1000.0 * FRESH_M
+                change_m = abs(1e-3 * ranges[row, column] - 1e-3 * before[row, column])
+                fresh[count, band, column * SECTORS // columns] += change_m > FRESH_M
 
 
 @inline_kernel
