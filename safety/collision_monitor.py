@@ -260,7 +260,7 @@ class CollisionMonitor:
         ids = {track.id for track, _ in ahead}
         moving = [track for track, moves in near if moves]
         beside = [track for track in moving if track.id not in ids]
-        self.bystanders.note_close(moving, area, pose_odom, odom.stamp_ns)
+        self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
         self.bystanders.update(beside, tracks, area, pose_odom, speed_mps, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 

@@ -36,12 +36,14 @@ class Place:
 class Bystanders:
     """Follows by track number those who came; `coming` is one that reaches the machine within the prediction.
 
-    `pto_off_m`: distance from machine and implement within which a moving body stops the PTO.
+    `pto_off_m`: distance from machine and implement within which a moving body stops the PTO. One that comes faster
+    than at a walk stops it earlier, so that it stands when they arrive.
     """
 
     def __init__(self, config: BystanderConfig, tracked: TrackedConfig, pto_stop_s: float) -> None:
         self._config, self._tracked = config, tracked
         self.pto_off_m = config.pto_walk_mps * pto_stop_s + config.pto_margin_m
+        self._pto_stop_s = pto_stop_s
         self._places: dict[int, Place] = {}
         self._coming_since_ns: dict[int, int] = {}
         self.coming: CriticalObject | None = None
@@ -52,11 +54,15 @@ class Bystanders:
         """Whether a bystander has not been seen leaving."""
         return bool(self._places)
 
-    def note_close(self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
-        """Takes all moving tracks, ahead too; one near a body stops the PTO."""
-        settled = [place_of(track) for track in moving if self._is_settled(track)]
-        if any(_gap_m(place, area, pose_odom) <= self.pto_off_m for place in settled):
-            self._close_ns = now_ns
+    def note_close(
+        self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, speed_mps: float, now_ns: int
+    ) -> None:
+        """Takes all moving tracks, ahead too; one near a body, or that reaches it while the PTO runs down, stops it."""
+        times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
+        for track in moving:
+            is_near = self._is_settled(track) and _gap_m(place_of(track), area, pose_odom) <= self.pto_off_m
+            if is_near or self._is_coming(track, area, pose_odom, speed_mps, times_s):
+                self._close_ns = now_ns
 
     def bars_pto(self, now_ns: int) -> bool:
         """Whether a body moves near machine or implement, or did a moment ago."""

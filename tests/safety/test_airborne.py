@@ -112,7 +112,9 @@ def test_fog_does_not_count_as_sight(machine: Vehicle, implement: MountedImpleme
 def test_dust_would_be_hits_without_the_evidence(
     machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.zeros(len(pixels), bool))
+    monkeypatch.setattr(
+        "safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.zeros(len(pixels), bool)
+    )
     trusting = config.model_copy(update={"airborne": config.airborne.model_copy(update={"dust_returns": 10_000})})
     source = source_of(machine, implement, trusting)
     hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=dust(0.01))) for k in range(15)]

@@ -221,15 +221,32 @@ def test_a_body_that_moves_near_the_machine_bars_the_pto(
     assert not bystanders.bars_pto(START_NS)
     for y in around(WING_Y + near_m + 0.2, 0.02):  # half of the box
         one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-        one.note_close([person(WING_X, y, vx=1.0)], area, HERE, START_NS)
+        one.note_close([person(WING_X, y, vx=1.0)], area, HERE, 0.0, START_NS)
         assert one.bars_pto(START_NS) == (y <= WING_Y + near_m + 0.2 + 1e-9), y
     clutter = person(WING_X, 4.0, vx=1.0, label=ObstacleClass.UNKNOWN, age_s=0.9)
-    bystanders.note_close([clutter], area, HERE, START_NS)
+    bystanders.note_close([clutter], area, HERE, 0.0, START_NS)
     assert not bystanders.bars_pto(START_NS)
-    bystanders.note_close([clutter, person(WING_X, 4.0, vx=1.0)], area, HERE, START_NS)
-    bystanders.note_close([], area, HERE, START_NS + hold_ns)
+    bystanders.note_close([clutter, person(WING_X, 4.0, vx=1.0)], area, HERE, 0.0, START_NS)
+    bystanders.note_close([], area, HERE, 0.0, START_NS + hold_ns)
     assert bystanders.bars_pto(START_NS + hold_ns)
     assert not bystanders.bars_pto(START_NS + hold_ns + 1)
+
+
+def test_who_runs_towards_the_implement_bars_the_pto_in_time(area: SweptArea, config: SupervisorConfig) -> None:
+    """At the moment at which the PTO is barred they are still farther away than it takes to run down."""
+    for speed_mps in (2.4, 3.2, 4.0):
+        barred_m = 0.0
+        for y in around(WING_Y + speed_mps * PTO_STOP_S + 0.2, 0.02):
+            one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+            one.note_close([person(WING_X, y, vy=-speed_mps)], area, HERE, 0.0, START_NS)
+            barred_m = max(barred_m, y - WING_Y - 0.2) if one.bars_pto(START_NS) else barred_m
+        assert barred_m >= speed_mps * PTO_STOP_S, speed_mps
+        passing = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        passing.note_close([person(WING_X, WING_Y + 7.0, vx=speed_mps)], area, HERE, 0.0, START_NS)
+        leaving = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        leaving.note_close([person(WING_X, WING_Y + 5.0, vy=speed_mps)], area, HERE, 0.0, START_NS)
+        assert not passing.bars_pto(START_NS)
+        assert not leaving.bars_pto(START_NS)
 
 
 def walker(world: World, y: float, vy: float) -> tuple[Track, ...]:

@@ -308,7 +308,7 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     coming = CriticalObject(0.0, ObstacleClass.PERSON, 2)
     collision_monitor.bystanders = SimpleNamespace(update=Spy(None), note_close=Spy(None), coming=coming)
     look(collision_monitor, config)
-    moving, area, _, _ = collision_monitor.bystanders.note_close.asked
+    moving, area, _, _, _ = collision_monitor.bystanders.note_close.asked
     assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
     moving, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
     assert (moving, tracks, area) == ([beside], SEEN.tracks, collision_monitor.swept_field.main)
