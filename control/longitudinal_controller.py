@@ -30,7 +30,10 @@ class SpeedConfig(Config):
     integral_per_s: float = Field(ge=0.0, le=5.0)
     integral_max_mps: float = Field(ge=0.0, le=1.0)
     model_lag_s: float = Field(gt=0.0, le=5.0, description="time constant of the tractor's speed loop")
-    overspeed_mps: float = Field(gt=0.0, le=2.0, description="above the target, from which the brakes are applied")
+    overspeed_mps: float = Field(
+        gt=0.0, le=2.0, description="above the target, after `delay_s` at the present acceleration: brakes are applied"
+    )
+    acceleration_time_s: float = Field(gt=0.0, le=5.0, description="time constant of that acceleration")
     overspeed_per_s: float = Field(gt=0.0, le=10.0, description="deceleration per overspeed, beyond the downhill force")
     max_braking_mps2: float = Field(gt=0.0, le=6.0)
     holding_mps2: float = Field(gt=0.0, le=6.0, description="brake demand at standstill")
@@ -104,6 +107,8 @@ class LongitudinalController:
         self._integral_mps = 0.0
         self._model_mps = 0.0
         self._is_slowed = False
+        self._speed_mps: float | None = None
+        self._acceleration_mps2 = 0.0
         self.is_arrived = False
 
     def start(self) -> None:
@@ -128,9 +133,17 @@ class LongitudinalController:
     ) -> tuple[float, float]:
         """Commanded speed and acceleration (< 0: brakes) for target and measured speed on a slope of sine `descent`."""
         self._learn(target_mps, speed_mps, elapsed_s, is_followed)
+        self._follow(speed_mps, elapsed_s)
         min_mps = min(target_mps, self._config.creep_mps)  # a negative integral must not stop the machine
         commanded_mps = max(min_mps, target_mps + self._integral_mps) if target_mps > 0.0 else 0.0
         return commanded_mps, -self._braking_mps2(target_mps, speed_mps, descent)
+
+    def _follow(self, speed_mps: float, elapsed_s: float) -> None:
+        """Takes the present speed into the acceleration."""
+        if self._speed_mps is not None and elapsed_s > 0.0:
+            off_mps2 = (speed_mps - self._speed_mps) / elapsed_s - self._acceleration_mps2
+            self._acceleration_mps2 += off_mps2 * min(elapsed_s / self._config.acceleration_time_s, 1.0)
+        self._speed_mps = speed_mps
 
     def _learn(self, target_mps: float, speed_mps: float, elapsed_s: float, is_followed: bool) -> None:
         """Integrates the error once the model has reached the target, so that changes of target have no effect."""
@@ -157,7 +170,8 @@ class LongitudinalController:
             self._is_slowed = False
             return min(max(config.overspeed_per_s * speed_mps, config.holding_mps2), config.max_braking_mps2)
         excess_mps = speed_mps - max(target_mps, self._model_mps)
-        self._is_slowed = excess_mps > (0.0 if self._is_slowed else config.overspeed_mps)
+        coming_mps = excess_mps + max(self._acceleration_mps2, 0.0) * config.delay_s
+        self._is_slowed = excess_mps > 0.0 and (self._is_slowed or coming_mps > config.overspeed_mps)
         if not self._is_slowed:
             return 0.0
-        return min(config.overspeed_per_s * excess_mps + GRAVITY_MPS2 * max(descent, 0.0), config.max_braking_mps2)
+        return min(config.overspeed_per_s * coming_mps + GRAVITY_MPS2 * max(descent, 0.0), config.max_braking_mps2)

@@ -129,3 +129,14 @@ def test_continuous_deceleration_at_path_end():
     braking = speeds[1:] * np.diff(speeds) / np.diff(far)
     assert braking.max() <= config.braking_mps2 * 1.01
     assert math.isclose(plan.ending_mps(-1.0, config), 0.0)
+
+
+def test_brakes_begin_before_the_overspeed_where_a_machine_rolls_faster():
+    """Beyond a crest with a drive that does not hold: half of what the supervisor takes for disobedience."""
+    control, speed_mps, braking_mps2, speeds = LongitudinalController(CONFIG.speed), 2.4, 0.0, []
+    for k in range(200):
+        _, acceleration = control.command(2.78, speed_mps, 0.02, True, 0.1 if k > 40 else 0.0)
+        braking_mps2 += (-acceleration - braking_mps2) * 0.02 / 0.4
+        speed_mps += 0.02 * (1.0 - braking_mps2)
+        speeds.append(speed_mps)
+    assert max(speeds) - 2.78 < 0.4
