@@ -104,15 +104,10 @@ class Bystanders:
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
-        """Those with a class, and those that come for some time: edges of walls appear to for a moment."""
+        """Those that come in two messages: edges of walls, parts of fences and dust appear to for one."""
         since_ns = {track.id: self._coming_since_ns.get(track.id, stamp_ns) for track in coming}
         self._coming_since_ns = since_ns
-        min_ns = self._config.min_unclassified_coming_s * 1e9
-        return [
-            track
-            for track in coming
-            if track.label is not ObstacleClass.UNKNOWN or stamp_ns - since_ns[track.id] >= min_ns
-        ]
+        return [track for track in coming if stamp_ns - since_ns[track.id] >= self._config.min_coming_s * 1e9]
 
     def _is_settled(self, track: Track) -> bool:
         """Whether the motion of a moving track counts: it has a class, or is old enough."""
