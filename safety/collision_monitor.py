@@ -49,6 +49,7 @@ from safety.zones.tracked_obstacles import (
     KnownStructureFilter,
     horizon_s,
     is_ahead,
+    is_broad_mover,
     nearest_critical_object,
     tracks_near,
     without_posts,
@@ -259,7 +260,9 @@ class CollisionMonitor:
         ahead = [one for one in near if is_ahead(one[0], self._footprint, pose_odom, *side)]
         ids = {track.id for track, _ in ahead}
         moving = [track for track, moves in near if moves]
-        beside = [track for track in moving if track.id not in ids]
+        stamp_ns = 0 if tracks is None else tracks.stamp_ns
+        broad = [track for track, moves in near if not moves and is_broad_mover(track, stamp_ns, tracked)]
+        beside = [track for track in (*moving, *broad) if track.id not in ids]
         self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
         self.bystanders.update(beside, tracks, area, pose_odom, speed_mps, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)

@@ -213,6 +213,7 @@ class TrackedConfig(Config):
     lateral_m: Metres
     min_track_age_s: Seconds = Field(description="minimum age of a track for its velocity to count")
     max_unclassified_length_m: Metres = Field(description="longest side of a moving unclassified track")
+    broad_m: Metres = Field(description="shortest side from which a longer unclassified track beside may be a vehicle")
     self_filter_m: Metres = Field(description="a track this near to machine or implement is the machine itself")
     post_tolerance_m: Metres = Field(description="a static track this near to a surveyed gate post is the post")
     max_post_width_m: Metres = Field(description="unless its longest side is longer")

@@ -67,6 +67,16 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     return speed >= max(min_mps, config.moving_sigmas * sigma)
 
 
+def is_broad_mover(track: Track, stamp_ns: int, config: TrackedConfig) -> bool:
+    """Whether an unclassified track is broad in all directions and moves fast: a vehicle among plants, no part of a
+    fence."""
+    is_broad = track.label is ObstacleClass.UNKNOWN and float(np.min(track.size_m)) >= config.broad_m
+    if not is_broad or is_coasting(track, stamp_ns, config):
+        return False
+    speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
+    return speed_mps >= max(config.long_moving_mps, config.moving_sigmas * velocity_sigma_mps(track))
+
+
 def is_coasting(track: Track, stamp_ns: int, config: TrackedConfig) -> bool:
     """Whether an unclassified track is only predicted: clutter merged into one track separates again at once."""
     return track.label is ObstacleClass.UNKNOWN and stamp_ns - track.last_seen_ns > config.max_coasting_s * 1e9

@@ -14,6 +14,7 @@ from safety.supervisor_config import SupervisorConfig
 from safety.zones.bystanders import Bystanders, distance_to_bodies_m, nearest_track, place_of
 from safety.zones.footprint import footprint_of
 from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
+from safety.zones.tracked_obstacles import is_broad_mover
 from tests.clause import clause
 from tests.safety.safety_world import START_NS, WAGON, World, around
 
@@ -297,6 +298,29 @@ def test_stop_for_somebody_who_walks_into_a_wing(world: World) -> None:
     assert not world.command.is_pto_on
     for _ in range(2):
         one = person(world.x_m + WING_X + 2.0, 5.0, vx=1.0, vy=-2.0, stamp_ns=world.inbox.now_ns, age_s=3.0)
+        world.tracks = (one,)
+        world.run(0.1)
+    assert world.mode == Mode.OBSTACLE_STOP
+
+
+@pytest.mark.parametrize(("size", "vy", "late_s", "is_mover"), [
+    ((2.9, 1.3, 1.2), -2.4, 0.0, True), ((2.9, 0.8, 0.8), -1.0, 0.0, True), ((2.9, 0.79, 1.2), -2.4, 0.0, False),
+    ((2.9, 1.3, 0.79), -2.4, 0.0, False), ((2.9, 1.3, 1.2), -0.99, 0.0, False), ((2.9, 1.3, 1.2), -2.4, 0.26, False),
+])  # fmt: skip
+def test_a_broad_unclassified_track_that_moves_fast_may_be_a_vehicle(
+    config: SupervisorConfig, size: tuple[float, float, float], vy: float, late_s: float, is_mover: bool
+) -> None:
+    one = person(WING_X, 6.0, vy=vy, label=ObstacleClass.UNKNOWN, size=size)
+    assert is_broad_mover(one, START_NS + round(late_s * 1e9), config.tracked) == is_mover
+    person_sized = person(WING_X, 6.0, vy=vy, size=size)
+    assert not is_broad_mover(person_sized, START_NS, config.tracked)
+
+
+def test_stop_for_a_vehicle_among_plants_that_comes_from_the_side(world: World) -> None:
+    world.start().run(5.0)
+    for _ in range(2):
+        one = person(world.x_m + WING_X + 3.0, 6.5, vy=-2.4, stamp_ns=world.inbox.now_ns,
+                     label=ObstacleClass.UNKNOWN, size=(2.9, 1.3, 1.2))  # fmt: skip
         world.tracks = (one,)
         world.run(0.1)
     assert world.mode == Mode.OBSTACLE_STOP
