@@ -356,6 +356,7 @@ class TrailedImplement(_Implement):
     axle_length_m: Length
     working_length_m: Length
     total_length_m: Length
+    max_hitch_deg: float = Field(default=60.0, gt=5.0, lt=90.0, description="largest angle between machine and drawbar")
 
     @property
     def ends_m(self) -> tuple[float, float]:

@@ -53,6 +53,8 @@ def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] 
     cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
+    for ring, entries in left:
+        _follow(connector, ring, entries)
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
@@ -85,7 +87,7 @@ def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> H
     entries = _entries(ring, rig.radius_m)
     poses, first = [e.start for e in entries], entries[0].index
     if ends:
-        bound = bounds_s(ends, poses, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)
+        bound = bounds_s(ends, poses, rig.config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
         ranked = np.argsort(bound, axis=None, kind="stable")[:MAX_ENTRIES]
         near = [(int(k) // len(poses), int(k) % len(poses)) for k in ranked]
         found = (n for e, n in near if connector.turn(connector.request(ends[e], poses[n])) is not None)
@@ -104,7 +106,7 @@ def _best(
     stuck: list[tuple[Connection, _Entry]] = []
     for n in _by_time(connector, last, entries):
         entry, connection = entries[n], _link(connector, last, entries[n])
-        if connection is None:
+        if connection is None or not _is_free_from(connector, ring, entry, connection.hitch_rad):
             continue
         onwards_s = _onwards_s(connector, entry, following[1] if following is not None else [])
         if onwards_s == NO_LINK_S and not _is_left(connector, entry, others):
@@ -123,6 +125,22 @@ def _best(
     return None
 
 
+def _follow(connector: PathConnector, ring: HeadlandPass, entries: list[_Entry]) -> None:
+    """Keeps the hitch angles at the ends of drives over a pass."""
+    if connector.rig.trailer is not None:
+        angles = connector.rig.hitch_angles(ring.points_m, ring.heading_rad, is_closed=True)
+        for entry in entries:
+            connector.hitch_rad[entry.end] = float(angles[(entry.index + CLOSING) % (len(angles) - 1)])
+
+
+def _is_free_from(connector: PathConnector, ring: HeadlandPass, entry: _Entry, hitch_rad: float) -> bool:
+    """Whether a trailed implement is free on a pass also where it begins with this hitch angle."""
+    if connector.rig.trailer is None:
+        return True
+    (piece,) = _loop(ring, entry)
+    return connector.space.is_free(piece.leg.p_map_m, piece.leg.heading_rad, hitch_rad)
+
+
 def _along(
     connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry]
 ) -> Iterator[tuple[Connection, _Entry]]:
@@ -130,7 +148,7 @@ def _along(
     near = _by_time(connector, last, entries)[:THOROUGH_NEAR]
     for n in dict.fromkeys([*near, *_nearest_to_others(connector, ring, entries)[:THOROUGH]]):
         connection = connector.find(connector.request(last.end, entries[n].start))
-        if connection is not None:
+        if connection is not None and _is_free_from(connector, ring, entries[n], connection.hitch_rad):
             yield connection, entries[n]
 
 
@@ -148,7 +166,7 @@ def _is_left(connector: PathConnector, entry: _Entry, goals: Sequence[Pose2] | N
     if not goals:
         return goals is None
     rig, config = connector.rig, connector.rig.config
-    bound = bounds_s([entry.end], goals, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    bound = bounds_s([entry.end], goals, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)[0]
     ranks = np.unique(np.geomspace(1, len(goals), MAX_GOALS).astype(int)) - 1
     near = [connector.request(entry.end, goals[k]) for k in np.argsort(bound, kind="stable")[ranks]]
     return any(connector.turn(r) for r in near) or any(connector.find(r) for r in near[:THOROUGH_NEAR])
@@ -172,7 +190,7 @@ def _nearest_to_others(connector: PathConnector, ring: HeadlandPass, entries: li
 def _by_time(connector: PathConnector, last: _Entry, entries: list[_Entry]) -> list[int]:
     """Indices of the entries, nearest in time first."""
     rig, goals = connector.rig, [e.start for e in entries]
-    bound = bounds_s([last.end], goals, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    bound = bounds_s([last.end], goals, rig.config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)[0]
     saved_s = np.array([e.saved_s for e in entries])
     return [int(k) for k in np.argsort(bound - saved_s, kind="stable")]
 

@@ -1,6 +1,6 @@
 """Connections between poses: turns, then along a headland pass, then by sampling."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -31,7 +31,10 @@ class RoutePiece:
 
 @dataclass
 class PathConnector:
-    """Finds free connections between poses; each request is searched once."""
+    """Finds free connections between poses; each request is searched once.
+
+    `hitch_rad`: hitch angles of a trailed implement at ends of lines and passes; at others it is in line.
+    """
 
     drivable: DrivableArea
     rig: Rig
@@ -41,6 +44,7 @@ class PathConnector:
     tracks: list[Track] = field(default_factory=list)
     turns: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
+    hitch_rad: dict[Pose2, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for p in self.headland_passes:
@@ -63,11 +67,23 @@ class PathConnector:
 
     def request(self, a: Pose2, b: Pose2, behind_m: float = 0.0, ahead_m: float = 0.0) -> ConnectionRequest:
         """From the end of one line, `behind_m` long, to the beginning of the next, `ahead_m` long."""
-        return ConnectionRequest(a, b, self.rig.config.run_out_m, self.rig.config.line_up_m, behind_m, ahead_m)
+        run_out_m, line_up_m = self.rig.config.run_out_m, self.rig.line_up_m
+        hitch_rad = self.hitch_rad.get(a, 0.0)
+        return ConnectionRequest(a, b, run_out_m, line_up_m, behind_m, ahead_m, hitch_rad, self.rig.tolerance_rad)
 
     def home_request(self, a: Pose2, home: Pose2, behind_m: float = 0.0) -> ConnectionRequest:
-        """From the end of a line, `behind_m` long, to the lane."""
-        return ConnectionRequest(a, home, self.rig.config.run_out_m, HOME_STRAIGHT_M, behind_m)
+        """From the end of a line, `behind_m` long, to the lane, on which a trailed implement is in line."""
+        straight_m = HOME_STRAIGHT_M if self.rig.trailer is None else self.rig.line_up_m
+        return replace(self.request(a, home, behind_m), line_up_m=straight_m)
+
+    def start_request(self, start: Pose2, lane: Pose2) -> ConnectionRequest:
+        """From the start to the lane, on which a trailed implement is in line."""
+        return ConnectionRequest(start, lane, 0.0, 0.0, most_hitch_rad=self.rig.tolerance_rad)
+
+    def follow(self, leg: Leg) -> None:
+        """Keeps the hitch angle at the end of a curved line, at whose beginning the implement is in line."""
+        if self.rig.trailer is not None and leg.curvature_radpm.any():
+            self.hitch_rad[leg.pose(-1)] = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
 
     def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle, outlines
 from geometry.arrays import Float32, Float64
+from geometry.drawbar import Drawbar, hitch_poses, steady_angle
 from geometry.rectangle import Rectangle
 from messages.command import MachineState
 
@@ -58,14 +59,6 @@ def bounding_box(points: Float64) -> Box:
     """Box about points (N, 2), at least one."""
     (x_low, y_low), (x_high, y_high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Box((x_low, x_high), (y_low, y_high))
-
-
-@dataclass(frozen=True)
-class Drawbar:
-    """Hitch of a trailed implement along x of base, and distance of its axle behind the hitch."""
-
-    hitch_m: float
-    axle_m: float
 
 
 @dataclass(frozen=True)
@@ -176,22 +169,7 @@ def trailer_poses(drawbar: Drawbar, poses: Float64, curvature_radpm: float) -> F
 
     The hitch angle is not measured: its initial value is that of steady driving on the present curvature.
     """
-    hitch = np.column_stack([
-        poses[:, 0] + drawbar.hitch_m * np.cos(poses[:, 2]), poses[:, 1] + drawbar.hitch_m * np.sin(poses[:, 2])
-    ])  # fmt: skip
-    yaw = np.empty(len(poses))
-    yaw[0] = poses[0, 2] + steady_angle(drawbar, curvature_radpm)
-    for k in range(1, len(poses)):
-        dx, dy = hitch[k] - hitch[k - 1]
-        across = dy * math.cos(yaw[k - 1]) - dx * math.sin(yaw[k - 1])
-        yaw[k] = yaw[k - 1] + across / drawbar.axle_m
-    return np.column_stack([hitch, yaw])
-
-
-def steady_angle(drawbar: Drawbar, curvature_radpm: float) -> float:
-    """Heading of a trailed implement relative to the machine in steady driving on a curvature."""
-    swing = math.atan(curvature_radpm * drawbar.hitch_m)
-    return swing - math.asin(max(-1.0, min(1.0, drawbar.axle_m * curvature_radpm * math.cos(swing))))
+    return hitch_poses(drawbar, poses[:, :2], poses[:, 2], steady_angle(drawbar, curvature_radpm))
 
 
 def outline(body: Rectangle) -> Float64:
