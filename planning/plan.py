@@ -209,11 +209,21 @@ def _length_m(paths: Sequence[Path]) -> float:
 
 
 def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: DrivableArea) -> None:
-    """Raises FieldError with the position where a body leaves the drivable area; a trailed implement begins in line."""
+    """Raises FieldError with the position where a body leaves the drivable area, or a trailed one turns too far.
+
+    A trailed implement is in line at first.
+    """
     spaces, hitch_rad = [r.space(drivable.allowed) for r in (rig, folded)], 0.0
     for path in paths:
         outside = spaces[path.is_transport].touching(path.p_map_m, path.heading_rad, hitch_rad)
-        hitch_rad = spaces[path.is_transport].hitch_after(path.p_map_m, path.heading_rad, hitch_rad)
+        angles = rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)
+        hitch_rad, k = float(angles[-1]), int(np.argmax(np.abs(angles)))
+        if abs(angles[k]) > rig.max_hitch_rad:
+            where = describe(drivable.site, *map(float, path.p_map_m[k]))
+            raise FieldError(
+                f"the implement would turn by {np.degrees(abs(angles[k])):.0f}° against the machine at {where}, "
+                f"max_hitch_deg is {np.degrees(rig.max_hitch_rad):.0f}: drive wider bends"
+            )
         if outside.any():
             k = int(np.argmax(outside))
             x, y = path.p_map_m[k]

@@ -24,12 +24,13 @@ IN_LINE_M = 0.003  # of the rear end: a trailed implement counts as in line at t
 class Rig:
     """Parameters of machine with implement, SI; `working_x_m` is the position of the working line along x of `base`.
 
-    `bodies` are rigid to `base`; a trailed implement is the `trailer` and follows its hitch. `has_reverse`: turns
-    between lines may reverse.
+    `bodies` are rigid to `base`; a trailed implement is the `trailer` and follows its hitch, at an angle of at most
+    `max_hitch_rad` (infinite if mounted). `has_reverse`: turns between lines may reverse.
     """
 
     bodies: Bodies
     trailer: Trailer | None
+    max_hitch_rad: float
     working_x_m: float
     working_width_m: float
     radius_m: float
@@ -129,6 +130,8 @@ class Rig:
         self, p_map_m: Float64, heading_rad: Float64, hitch_rad: float = 0.0, is_closed: bool = False
     ) -> Float64:
         """Heading of the implement relative to the machine at poses of `base` in driving order, (N,)."""
+        if self.trailer is None:
+            return np.zeros(len(heading_rad))
         turned = self.carriers(p_map_m, heading_rad, hitch_rad, is_closed)[1] - heading_rad
         return np.asarray(np.angle(np.exp(1j * turned)), np.float64)
 
@@ -143,7 +146,7 @@ class Rig:
 def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: PlannerConfig) -> Rig:
     """Rig of a mission, at the maximum speed without work; raises FieldError for a trailed implement that reverses."""
     has_reverse, limit = work is not None and work.turns == "reverse", vehicle.drivetrain.max_curvature_radpm
-    trailer = None
+    trailer, max_hitch_rad = None, math.inf
     if isinstance(implement, TrailedImplement):
         if has_reverse:
             raise FieldError(f"implement {implement.name!r} is trailed and does not reverse: set turns: forward")
@@ -151,7 +154,8 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
             Rectangle(-implement.total_length_m, 0.0, implement.width_m),
             Drawbar(implement.hitch_m, implement.axle_length_m),
         )
-        limit = min(limit, curvature_of(trailer.drawbar, deg(implement.max_hitch_deg)))
+        max_hitch_rad = deg(implement.max_hitch_deg)
+        limit = min(limit, curvature_of(trailer.drawbar, max_hitch_rad))
         working_x_m = implement.hitch_m - implement.working_length_m
     else:
         working_x_m = implement.working_point_m
@@ -159,8 +163,8 @@ def rig_of(vehicle: Vehicle, implement: Implement, work: Work | None, config: Pl
     speeds = (work.work_speed_kmh, work.turn_speed_kmh, work.lane_speed_kmh) if work is not None else (math.inf,) * 3
     work_mps, turn_mps, lane_mps = (min(kmh(speed_kmh), top) for speed_kmh in speeds)
     return Rig(
-        outlines(vehicle.body, None if trailer else implement), trailer, working_x_m, implement.working_width_m,
-        1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
+        outlines(vehicle.body, None if trailer else implement), trailer, max_hitch_rad, working_x_m,
+        implement.working_width_m, 1.0 / (limit * config.curvature_share), limit, vehicle.drivetrain.wheelbase_m,
         steering_rate(vehicle) * config.steering_rate_share, vehicle.acceleration_mps2,
         work_mps, turn_mps, lane_mps, has_reverse, config,
     )  # fmt: skip

@@ -32,6 +32,7 @@ MIN_RING_M2 = 1.0
 MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
+SWING_M = 0.03  # added to the distance of the passes from the edge: a trailed implement swings before and after bends
 NEAR_WIDTHS = 0.3  # of another pass
 SLIM = 0.5  # of the bodies: where they are not free either, a line is cut before it is displaced
 SHARP = 2.0  # of the curvature of the turning radius: a line is cut in such a corner
@@ -239,6 +240,7 @@ def _as_long_as_needed(
 def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> float:
     """Distance of the centre line of pass `number` from the edge."""
     first = drivable.margin_m + rig.width_m / 2.0 + rig.config.edge_slack_m
+    first += 0.0 if rig.trailer is None else SWING_M
     return first + number * (rig.working_width_m - overlap_m)
 
 
@@ -330,7 +332,7 @@ def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
 
 
 def _cut(ring: HeadlandPass, outside: Bool, rig: Rig, space: FreeSpace) -> list[HeadlandPass]:
-    """The drivable parts of a pass; a trailed implement is in line at the beginning of each, within its tolerance."""
+    """The drivable parts of a pass; a trailed implement is in line at the beginning of each."""
     if ring.is_closed and not outside.any():
         return [ring]
     least, bend = int(max(MIN_OPEN_M, rig.min_swath_m) / STEP_M), np.abs(ring.curvature_radpm)
@@ -342,8 +344,7 @@ def _cut(ring: HeadlandPass, outside: Bool, rig: Rig, space: FreeSpace) -> list[
     ]
     if rig.trailer is None:
         return found
-    angles = (0.0, rig.tolerance_rad, -rig.tolerance_rad)
-    return [p for p in found if all(space.is_free(p.points_m, p.heading_rad, angle) for angle in angles)]
+    return [p for p in found if space.is_free(p.points_m, p.heading_rad)]
 
 
 def _runs(is_kept: Bool, is_closed: bool) -> list[Int64]:

@@ -53,8 +53,9 @@ def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] 
     cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
-    for ring, entries in left:
-        _follow(connector, ring, entries)
+    if connector.rig.trailer is not None:
+        for ring, entries in left:
+            _follow(connector, ring, entries)
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
@@ -106,7 +107,7 @@ def _best(
     stuck: list[tuple[Connection, _Entry]] = []
     for n in _by_time(connector, last, entries):
         entry, connection = entries[n], _link(connector, last, entries[n])
-        if connection is None or not _is_free_from(connector, ring, entry, connection.hitch_rad):
+        if connection is None:
             continue
         onwards_s = _onwards_s(connector, entry, following[1] if following is not None else [])
         if onwards_s == NO_LINK_S and not _is_left(connector, entry, others):
@@ -126,19 +127,11 @@ def _best(
 
 
 def _follow(connector: PathConnector, ring: HeadlandPass, entries: list[_Entry]) -> None:
-    """Keeps the hitch angles at the ends of drives over a pass."""
-    if connector.rig.trailer is not None:
-        angles = connector.rig.hitch_angles(ring.points_m, ring.heading_rad, is_closed=True)
-        for entry in entries:
-            connector.hitch_rad[entry.end] = float(angles[(entry.index + CLOSING) % (len(angles) - 1)])
-
-
-def _is_free_from(connector: PathConnector, ring: HeadlandPass, entry: _Entry, hitch_rad: float) -> bool:
-    """Whether a trailed implement is free on a pass also where it begins with this hitch angle."""
-    if connector.rig.trailer is None:
-        return True
-    (piece,) = _loop(ring, entry)
-    return connector.space.is_free(piece.leg.p_map_m, piece.leg.heading_rad, hitch_rad)
+    """Keeps the drives over a pass with a trailed implement, and its hitch angles at their ends."""
+    angles = connector.rig.hitch_angles(ring.points_m, ring.heading_rad, is_closed=True)
+    for entry in entries:
+        (piece,) = _loop(ring, entry)
+        connector.follow(piece.leg, float(angles[(entry.index + CLOSING) % (len(angles) - 1)]))
 
 
 def _along(
@@ -148,7 +141,7 @@ def _along(
     near = _by_time(connector, last, entries)[:THOROUGH_NEAR]
     for n in dict.fromkeys([*near, *_nearest_to_others(connector, ring, entries)[:THOROUGH]]):
         connection = connector.find(connector.request(last.end, entries[n].start))
-        if connection is not None and _is_free_from(connector, ring, entries[n], connection.hitch_rad):
+        if connection is not None:
             yield connection, entries[n]
 
 

@@ -13,6 +13,7 @@ from planning.turns.search import Connection, ConnectionRequest, Leg, find_turn
 from planning.turns.transit import Track, along_passes, both_ways
 
 HOME_STRAIGHT_M = 1.0
+BEGINNING = 300  # points of a line, 30 m: then a trailed implement has forgotten its angle
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,9 @@ class RoutePiece:
 class PathConnector:
     """Finds free connections between poses; each request is searched once.
 
-    `hitch_rad`: hitch angles of a trailed implement at ends of lines and passes; at others it is in line.
+    With a trailed implement a connection counts only where the implement, as it arrives, is free on the line that
+    begins at its goal. `hitch_rad`: hitch angles at ends of curved lines, at others it is in line; `beginnings`: first
+    metres of curved lines.
     """
 
     drivable: DrivableArea
@@ -45,6 +48,7 @@ class PathConnector:
     turns: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     hitch_rad: dict[Pose2, float] = field(default_factory=dict)
+    beginnings: dict[Pose2, Leg] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for p in self.headland_passes:
@@ -53,7 +57,7 @@ class PathConnector:
     def turn(self, request: ConnectionRequest) -> Connection | None:
         """Fastest free turn, or None."""
         if request not in self.turns:
-            self.turns[request] = find_turn(request, self.space, self.rig.turn_times)
+            self.turns[request] = self._onto_line(request, find_turn(request, self.space, self.rig.turn_times))
         return self.turns[request]
 
     def find(self, request: ConnectionRequest) -> Connection | None:
@@ -62,7 +66,8 @@ class PathConnector:
         if turn is not None:
             return turn
         if request not in self.transits:
-            self.transits[request] = along_passes(request, self.space, self.rig.turn_times, self.tracks)
+            way = along_passes(request, self.space, self.rig.turn_times, self.tracks)
+            self.transits[request] = self._onto_line(request, way)
         return self.transits[request]
 
     def request(self, a: Pose2, b: Pose2, behind_m: float = 0.0, ahead_m: float = 0.0) -> ConnectionRequest:
@@ -80,10 +85,21 @@ class PathConnector:
         """From the start to the lane, on which a trailed implement is in line."""
         return ConnectionRequest(start, lane, 0.0, 0.0, most_hitch_rad=self.rig.tolerance_rad)
 
-    def follow(self, leg: Leg) -> None:
-        """Keeps the hitch angle at the end of a curved line, at whose beginning the implement is in line."""
-        if self.rig.trailer is not None and leg.curvature_radpm.any():
-            self.hitch_rad[leg.pose(-1)] = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
+    def follow(self, leg: Leg, hitch_rad: float | None = None) -> None:
+        """Keeps a curved line with the hitch angle at its end; None: the implement is in line where it begins."""
+        if self.rig.trailer is None or not leg.curvature_radpm.any():
+            return
+        if hitch_rad is None:
+            hitch_rad = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
+        self.hitch_rad[leg.pose(-1)] = hitch_rad
+        first = [v[:BEGINNING].copy() for v in (leg.p_map_m, leg.heading_rad, leg.curvature_radpm)]
+        self.beginnings[leg.pose(0)] = Leg(leg.direction, *first)
+
+    def _onto_line(self, request: ConnectionRequest, found: Connection | None) -> Connection | None:
+        line = self.beginnings.get(request.goal)
+        if found is None or line is None or self.space.is_free(line.p_map_m, line.heading_rad, found.hitch_rad):
+            return found
+        return None
 
     def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""

@@ -121,7 +121,7 @@ def _find_trailed(
 ) -> Connection | None:
     """As `find_turn`: after most turns the implement is on its line before the longest run-in ends."""
     least_m = min(LEAST_UP_M, request.line_up_m)
-    ups = [max(share * request.line_up_m, least_m) for share in UP_SHARES]
+    ups = list(dict.fromkeys(max(share * request.line_up_m, least_m) for share in UP_SHARES))
     found = _search(request, space, times, ([request.run_out_m], ups, FACTORS[:1]), FIRST_LIMIT_TRAILED)
     if found is not None or is_first_only:
         return found
