@@ -45,7 +45,6 @@ from planning.plan import NARROW_PART, plan_field
 LEAST_PLANNED_SHARE = 0.95
 WALL = 30.0  # wall time to processor time that is waited
 PASSES = {3.0: 4, 6.0: 2, 12.0: 2}
-MORE_PASSES = {3.0: 7, 6.0: 4, 12.0: 2}  # with a trailed implement, which needs a run-in
 Turns = Literal["forward", "reverse", "trailed"]
 GROUPS = {"textbook": textbook, "random": lambda data: random_fields(), "registers": registers}
 
@@ -75,9 +74,8 @@ def implement_of(width_m: float, turns: Turns) -> MountedImplement | TrailedImpl
 def work_of(width_m: float, turns: Turns) -> Work:
     """Field work without overlap, 0.1 m from the edge."""
     return Work(
-        headland_passes=(MORE_PASSES if turns == "trailed" else PASSES)[width_m], overlap_m=0.0, work_speed_kmh=10.0,
-        turn_speed_kmh=5.0, lane_speed_kmh=10.0, boundary_margin_m=0.1,
-        turns="reverse" if turns == "reverse" else "forward",
+        headland_passes=PASSES[width_m], overlap_m=0.0, work_speed_kmh=10.0, turn_speed_kmh=5.0, lane_speed_kmh=10.0,
+        boundary_margin_m=0.1, turns="reverse" if turns == "reverse" else "forward",
     )  # fmt: skip
 
 

@@ -369,6 +369,14 @@ class TrailedImplement(_Implement):
         return self
 
 
+def undriven(implement: TrailedImplement) -> str:
+    """Why no machine drives with a trailed implement: the line of a refusal."""
+    return (
+        f"implement {implement.name!r} is trailed: it is planned (./headland plan), not driven. Its angle is not "
+        "measured, and no sensor covers the places that it sweeps (./headland coverage)"
+    )
+
+
 Implement = Annotated[MountedImplement | TrailedImplement, Field(discriminator="kind")]
 
 

@@ -151,7 +151,7 @@ def plan_field(
     areas = regions_of(drivable, rig.width_m, folded.width_m)
     if rig.trailer is not None:
         areas = areas[:1]  # it does not fold, and is in line only after a long straight
-    passes = [headland_passes_of(area, rig, work.headland_passes, work.overlap_m) for area in areas]
+    passes = [headland_passes_of(area, rig, rig.headland_passes(work), work.overlap_m) for area in areas]
     report("swaths")
     space, transport = (r.space(drivable.allowed) for r in (rig, folded))
     on_lines = rig.space(drivable.allowed, rig.askew_m)

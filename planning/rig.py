@@ -96,6 +96,13 @@ class Rig:
         last_rad = min(self.tolerance_rad, -IN_LINE_M / self.trailer.body.rear_m)
         return max(self.config.min_swath_m, run_in_m(self.trailer.drawbar, self.tolerance_rad, last_rad))
 
+    def headland_passes(self, work: Work) -> int:
+        """Number of headland passes: that of the mission, or more where a trailed implement turns and is lined up."""
+        if self.trailer is None:
+            return work.headland_passes
+        depth_m = self.line_up_m + self.working_x_m + self.radius_m + 0.5 * self.width_m
+        return max(work.headland_passes, math.ceil(depth_m / max(self.working_width_m - work.overlap_m, 0.1)))
+
     def space(self, allowed: BaseGeometry, wider_m: float = 0.0) -> FreeSpace:
         """Free space of the rig in an area, a trailed implement widened to either side."""
         trailer = self.trailer

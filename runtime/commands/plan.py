@@ -13,7 +13,7 @@ def main(arguments: argparse.Namespace) -> int:
 
     Raises FieldError before writing if the field cannot be worked.
     """
-    check_drive(arguments)
+    check_drive(arguments, is_planned_only=True)
     # only now: these imports take seconds, and a wrong argument is reported at once
     from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
