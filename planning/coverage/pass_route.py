@@ -129,9 +129,10 @@ def _best(
 def _follow(connector: PathConnector, ring: HeadlandPass, entries: list[_Entry]) -> None:
     """Keeps the drives over a pass with a trailed implement, and its hitch angles at their ends."""
     angles = connector.rig.hitch_angles(ring.points_m, ring.heading_rad, is_closed=True)
+    leg = Leg(1, ring.points_m[:-1], ring.heading_rad[:-1], ring.curvature_radpm[:-1])
     for entry in entries:
-        (piece,) = _loop(ring, entry)
-        connector.follow(piece.leg, float(angles[(entry.index + CLOSING) % (len(angles) - 1)]))
+        connector.hitch_rad[entry.end] = float(angles[(entry.index + CLOSING) % (len(angles) - 1)])
+        connector.beginnings[entry.start] = leg, entry.index
 
 
 def _along(

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
@@ -35,8 +37,8 @@ class PathConnector:
     """Finds free connections between poses; each request is searched once.
 
     With a trailed implement a connection counts only where the implement, as it arrives, is free on the line that
-    begins at its goal. `hitch_rad`: hitch angles at ends of curved lines, at others it is in line; `beginnings`: first
-    metres of curved lines.
+    begins at its goal. `hitch_rad`: hitch angles at ends of curved lines, at others it is in line; `beginnings`: curved
+    lines, closed ones without their last point, with the index where they begin.
     """
 
     drivable: DrivableArea
@@ -48,7 +50,7 @@ class PathConnector:
     turns: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     hitch_rad: dict[Pose2, float] = field(default_factory=dict)
-    beginnings: dict[Pose2, Leg] = field(default_factory=dict)
+    beginnings: dict[Pose2, tuple[Leg, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for p in self.headland_passes:
@@ -85,21 +87,18 @@ class PathConnector:
         """From the start to the lane, on which a trailed implement is in line."""
         return ConnectionRequest(start, lane, 0.0, 0.0, most_hitch_rad=self.rig.tolerance_rad)
 
-    def follow(self, leg: Leg, hitch_rad: float | None = None) -> None:
-        """Keeps a curved line with the hitch angle at its end; None: the implement is in line where it begins."""
-        if self.rig.trailer is None or not leg.curvature_radpm.any():
-            return
-        if hitch_rad is None:
-            hitch_rad = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
-        self.hitch_rad[leg.pose(-1)] = hitch_rad
-        first = [v[:BEGINNING].copy() for v in (leg.p_map_m, leg.heading_rad, leg.curvature_radpm)]
-        self.beginnings[leg.pose(0)] = Leg(leg.direction, *first)
+    def follow(self, leg: Leg) -> None:
+        """Keeps a curved line with the hitch angle at its end; the implement is in line where it begins."""
+        if self.rig.trailer is not None and leg.curvature_radpm.any():
+            self.hitch_rad[leg.pose(-1)] = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
+            self.beginnings[leg.pose(0)] = leg, 0
 
     def _onto_line(self, request: ConnectionRequest, found: Connection | None) -> Connection | None:
-        line = self.beginnings.get(request.goal)
-        if found is None or line is None or self.space.is_free(line.p_map_m, line.heading_rad, found.hitch_rad):
+        if found is None or request.goal not in self.beginnings:
             return found
-        return None
+        leg, first = self.beginnings[request.goal]
+        index = (first + np.arange(min(BEGINNING, len(leg.heading_rad)))) % len(leg.heading_rad)
+        return found if self.space.is_free(leg.p_map_m[index], leg.heading_rad[index], found.hitch_rad) else None
 
     def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""

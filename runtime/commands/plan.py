@@ -58,6 +58,11 @@ def main(arguments: argparse.Namespace) -> int:
         sys.stdout.write(
             f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned{gate}: {folder.path}\n"
         )
+    work = setup.mission.work
+    if work is not None and (passes := plan.rig.headland_passes(work)) > work.headland_passes:
+        sys.stderr.write(
+            f"note: {passes} headland passes instead of {work.headland_passes}: the trailed implement needs a run-in\n"
+        )
     least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
     if plan.planned_share >= least:
         return 0
