@@ -201,8 +201,9 @@ def _check_lane(connector: PathConnector, lane: Leg) -> None:
         outside = connector.space.touching(leg.p_map_m, leg.heading_rad)
         if outside.any():
             where = describe(connector.drivable.site, *map(float, leg.p_map_m[int(np.argmax(outside))]))
+            more = "" if connector.rig.trailer is None else ", or draw wider bends: the trailed implement cuts them"
             raise FieldError(
-                f"a rig {connector.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane"
+                f"a rig {connector.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane{more}"
             )
 
 

@@ -171,6 +171,17 @@ def test_turn_ends_with_the_implement_in_line(rig: Rig) -> None:
     assert find_turn(replace(beside, hitch_rad=-0.3), space, rig.turn_times) is None  # its end is outside
 
 
+def test_lane_whose_bends_the_implement_cuts(
+    vehicle: Vehicle, disc_harrow: TrailedImplement, planning: PlanningConfig
+) -> None:
+    datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
+    outline = FieldOutline("lane", datum, FIELDS["rectangle"])
+    work = WORK.model_copy(update={"lane_m": ((60.0, 0.0), (60.0, -25.0), (85.0, -33.0), (85.0, -60.0))})
+    site = site_of(outline, vehicle, disc_harrow, work)
+    with pytest.raises(FieldError, match=r"does not fit on the lane .* the trailed implement cuts them"):
+        plan_field(site, vehicle, disc_harrow, work, planning.planner, 1)
+
+
 def test_refusals(
     mission: Mission, site: Site, vehicle: Vehicle, disc_harrow: TrailedImplement, planning: PlanningConfig
 ) -> None:
