@@ -14,6 +14,8 @@ from geometry.arrays import Float64
 from geometry.jit import kernel
 from geometry.rectangle import Rectangle
 
+JUMP_M = 2.0  # between two poses of a display: the path between them is unknown
+
 
 @dataclass(frozen=True)
 class Drawbar:
@@ -87,3 +89,30 @@ def curvature_of(drawbar: Drawbar, hitch_rad: float) -> float:
 def run_in_m(drawbar: Drawbar, first_rad: float, last_rad: float) -> float:
     """Straight distance in which the hitch angle decays from one magnitude to a smaller one."""
     return drawbar.axle_m * math.log(math.tan(0.5 * first_rad) / math.tan(0.5 * last_rad))
+
+
+class Follower:
+    """Hitch angle of a trailed implement along the poses (x, y, yaw) of base: in line at first, and after a jump."""
+
+    def __init__(self, hitch_m: float, axle_m: float) -> None:
+        self.hitch_rad = 0.0
+        self._drawbar = Drawbar(hitch_m, axle_m)
+        self._pose: tuple[float, float, float] | None = None
+
+    def move(self, pose: tuple[float, float, float]) -> None:
+        """Follows the hitch to the next pose; one that is not finite is left out."""
+        if not all(map(math.isfinite, pose)):
+            return
+        before, self._pose = self._pose, pose
+        if before is None or math.hypot(pose[0] - before[0], pose[1] - before[1]) > JUMP_M:
+            self.hitch_rad = 0.0
+            return
+        (x, y), (to_x, to_y) = (self._hitch(p) for p in (before, pose))
+        yaw = follow(before[2] + self.hitch_rad, to_x - x, to_y - y, self._drawbar.axle_m)
+        self.hitch_rad = math.remainder(yaw - pose[2], 2.0 * math.pi)
+
+    def _hitch(self, pose: tuple[float, float, float]) -> tuple[float, float]:
+        return (
+            pose[0] + self._drawbar.hitch_m * math.cos(pose[2]),
+            pose[1] + self._drawbar.hitch_m * math.sin(pose[2]),
+        )
