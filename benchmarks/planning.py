@@ -1,13 +1,15 @@
 """Coverage plans of textbook fields, random polygons and parcels of national registers: share, coverage, time.
 
-    ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12] [--turns reverse forward]
-                                  [--sample N] [--seed SEED] [--limit SECONDS] [--bound] [--pictures] [--out FOLDER]
+    ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12]
+                                  [--turns reverse forward trailed] [--sample N] [--seed SEED]
+                                  [--limit SECONDS] [--bound] [--pictures] [--out FOLDER]
 
 Each plan runs in a process of its own, forked after imports and kernels; its processor time is that of the process and
 its children. Results are appended to FOLDER/results.jsonl; a second call continues, and prints the tables.
 Parcels are read from HEADLAND_DATA, else from ../shared/data. A parcel counts where its largest inscribed circle is at
 least 4 working widths wide; above 20 ha with the widest implement alone. `--sample` draws N parcels of the registers,
-each with one of its widths. `--bound` adds the share of each field that is workable by any plan (`planning_bound.py`).
+each with one of its widths. `--turns trailed` turns forwards with a trailed disc harrow. `--bound` adds the share of
+each field that is workable by any plan (`planning_bound.py`).
 """
 
 import argparse
@@ -32,7 +34,7 @@ from benchmarks.recordings import DATA
 from configs.mission import Work
 from configs.site import DatumConfig
 from configs.strict import CONFIGS, find, load, parse, read_yaml
-from configs.vehicle import MountedImplement, Vehicle
+from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from messages.errors import FieldError
 from planning.config import PlanningConfig
 from planning.drawing import draw_plan
@@ -43,7 +45,7 @@ from planning.plan import NARROW_PART, plan_field
 LEAST_PLANNED_SHARE = 0.95
 WALL = 30.0  # wall time to processor time that is waited
 PASSES = {3.0: 4, 6.0: 2, 12.0: 2}
-Turns = Literal["forward", "reverse"]
+Turns = Literal["forward", "reverse", "trailed"]
 GROUPS = {"textbook": textbook, "random": lambda data: random_fields(), "registers": registers}
 
 
@@ -61,23 +63,25 @@ class Case:
         return f"{self.parcel.group} {self.parcel.name} {self.width_m:g} {self.turns}"
 
 
-def implement_of(width_m: float) -> MountedImplement:
-    """The mounted harrow with another width, its frame as wide as its work."""
-    values = read_yaml(CONFIGS / "implements/harrow_6m.yaml")["implement"]
-    return parse(MountedImplement, values | {"working_width_m": width_m, "width_m": width_m}, "benchmark")
+def implement_of(width_m: float, turns: Turns) -> MountedImplement | TrailedImplement:
+    """The mounted harrow or the trailed disc harrow with another width, its frame as wide as its work."""
+    name = "disc_harrow_3m" if turns == "trailed" else "harrow_6m"
+    values = read_yaml(CONFIGS / f"implements/{name}.yaml")["implement"]
+    values |= {"working_width_m": width_m, "width_m": width_m}
+    return parse(ImplementFile, {"implement": values}, "benchmark").implement
 
 
 def work_of(width_m: float, turns: Turns) -> Work:
     """Field work without overlap, 0.1 m from the edge."""
     return Work(
         headland_passes=PASSES[width_m], overlap_m=0.0, work_speed_kmh=10.0, turn_speed_kmh=5.0, lane_speed_kmh=10.0,
-        boundary_margin_m=0.1, turns=turns,
+        boundary_margin_m=0.1, turns="reverse" if turns == "reverse" else "forward",
     )  # fmt: skip
 
 
 def run(case: Case, picture: Path | None) -> dict[str, Any]:
     """Plans and checks one case; the processor time is that of planning alone."""
-    vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m)
+    vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m, case.turns)
     planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
     polygon, work = case.parcel.polygon, work_of(case.width_m, case.turns)
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
@@ -97,7 +101,9 @@ def run(case: Case, picture: Path | None) -> dict[str, Any]:
         "state": "planned" if plan.planned_share >= LEAST_PLANNED_SHARE else "below share",
         "share": plan.planned_share, "narrow_share": plan.uncovered_m2.get(NARROW_PART, 0.0) / plan.field_area_m2,
         "coverage": found.coverage, "outside_m": found.outside_m, "gap_m": found.gap_m,
-        "curvature_radpm": found.curvature_radpm, "length_m": found.length_m, "working_m": found.working_m,
+        "curvature_radpm": found.curvature_radpm,
+        "hitch_deg": math.degrees(found.hitch_rad), "off_line_m": found.off_line_m,
+        "length_m": found.length_m, "working_m": found.working_m,
         "reverse_m": found.reverse_m, "cusps": found.cusps, "cpu_s": cpu_s,
         "time_s": sum(float((np.diff(p.s_m) / np.maximum(p.speed_mps[:-1], 0.05)).sum()) for p in paths),
     }  # fmt: skip
@@ -111,7 +117,9 @@ def busy_s() -> float:
 
 def bound_of(case: Case) -> float:
     """Greatest share of the field that any plan works."""
-    vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m)
+    vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m, case.turns)
+    if not isinstance(implement, MountedImplement):
+        raise SystemExit("--bound: only for mounted implements")
     margin_m = work_of(case.width_m, case.turns).boundary_margin_m
     return workable_share(case.parcel.polygon, margin_m, vehicle, implement)
 
@@ -211,7 +219,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(GROUPS))
     parser.add_argument("--widths", nargs="+", type=float, choices=PASSES, default=list(PASSES))
-    parser.add_argument("--turns", nargs="+", choices=("reverse", "forward"), default=["reverse"])
+    parser.add_argument("--turns", nargs="+", choices=("reverse", "forward", "trailed"), default=["reverse"])
     parser.add_argument("--sample", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="")

@@ -356,6 +356,7 @@ class TrailedImplement(_Implement):
     axle_length_m: Length
     working_length_m: Length
     total_length_m: Length
+    max_hitch_deg: float = Field(default=60.0, gt=5.0, lt=90.0, description="largest angle between machine and drawbar")
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -366,6 +367,14 @@ class TrailedImplement(_Implement):
     def folded(self) -> "TrailedImplement":
         """The implement unchanged: it does not fold."""
         return self
+
+
+def undriven(implement: TrailedImplement) -> str:
+    """Why no machine drives with a trailed implement: the line of a refusal."""
+    return (
+        f"implement {implement.name!r} is trailed: it is planned (./headland plan), not driven. Its angle is not "
+        "measured, and no sensor covers the places that it sweeps (./headland coverage)"
+    )
 
 
 Implement = Annotated[MountedImplement | TrailedImplement, Field(discriminator="kind")]

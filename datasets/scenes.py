@@ -44,13 +44,22 @@ T_BODY_OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 
 
 
 def implement_x_m(implement: Implement) -> float:
-    """Working point along x of `base`; a trailed implement is drawn straight, since its angle is not measured."""
+    """Working point along x of `base`, of a trailed implement in line with the machine."""
     if isinstance(implement, MountedImplement):
         return implement.working_point_m
     return implement.hitch_m - implement.working_length_m
 
 
-def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list[FrameTransform]:
+def T_base_implement(implement: Implement, hitch_rad: float) -> Float64:
+    """Pose of the implement's working point in `base`, of a trailed one at a hitch angle."""
+    if isinstance(implement, MountedImplement):
+        return planar(implement.working_point_m, 0.0, 0.0)
+    return planar(implement.hitch_m, 0.0, hitch_rad) @ planar(-implement.working_length_m, 0.0, 0.0)
+
+
+def mounts(
+    stamp_ns: int, vehicle: Vehicle, implement: Implement | None, hitch_rad: float = 0.0
+) -> list[FrameTransform]:
     """Poses of sensors and implement in `base`; a sensor frame has the name of its topic."""
     sensors = vehicle.sensors
     poses = {
@@ -63,7 +72,7 @@ def mounts(stamp_ns: int, vehicle: Vehicle, implement: Implement | None) -> list
     if sensors.imu is not None:
         poses["imu"] = sensors.imu.mount.T_base_sensor
     if implement is not None:
-        poses["implement"] = planar(implement_x_m(implement), 0.0, 0.0)
+        poses["implement"] = T_base_implement(implement, hitch_rad)
     links = [frame(stamp_ns, "base", child, T) for child, T in poses.items()]
     return links + [frame(stamp_ns, body, child, T_BODY_OPTICAL) for body, child in optical.items()]
 

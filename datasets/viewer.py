@@ -14,12 +14,14 @@ from pydantic import Field
 
 from configs.site import Site
 from configs.strict import Config
-from configs.vehicle import FOLDED, Camera, Implement, Vehicle
+from configs.vehicle import FOLDED, Camera, Implement, TrailedImplement, Vehicle
 from datasets import scenes
 from datasets.codec import proto_message
 from datasets.importers.recording import CameraCalibration
 from datasets.plots import PlottedEvent, plotted_pose, plotted_state, stop_request
 from datasets.primitives import cloud, compressed_image, frame
+from geometry.drawbar import Follower
+from geometry.pose2 import Pose2
 from messages.command import MachineState, SupervisorState
 from messages.faults import Fault
 from messages.message import Envelope
@@ -66,6 +68,9 @@ class Viewer:
         self._height_m = vehicle.body.height_m if vehicle is not None else 2.0
         self._shown_at_ns: dict[str, int] = {}
         self._is_folded = False
+        self._follower: Follower | None = None
+        if isinstance(implement, TrailedImplement):
+            self._follower = Follower(implement.hitch_m, implement.axle_length_m)
         self._handlers: dict[type, Callable[[str, Any], Iterator[Shown]]] = {
             LidarScan: self._show_scan,
             CameraImage: self._show_image,
@@ -103,7 +108,7 @@ class Viewer:
 
     def _show_static(self, stamp_ns: int) -> Iterator[Shown]:
         if self._vehicle is not None:
-            mounts = scenes.mounts(stamp_ns, self._vehicle, self._implement)
+            mounts = scenes.mounts(stamp_ns, self._vehicle, self._implement, self._hitch_rad)
             yield "/view/mounts", FrameTransforms(transforms=mounts)
             yield "/view/machine", scenes.machine_scene(stamp_ns, self._vehicle)
         if self._vehicle is not None and self._implement is not None:
@@ -140,15 +145,24 @@ class Viewer:
             self._shown_at_ns.pop("static", None)
         return iter(())
 
+    @property
+    def _hitch_rad(self) -> float:
+        return 0.0 if self._follower is None else self._follower.hitch_rad
+
     def _show_odometry(self, topic: str, message: Odometry) -> Iterator[Shown]:
+        if topic == "odom" and self._follower is not None:
+            self._follower.move(Pose2.of(message.T_odom_base))
         if not self._is_due(topic, message.stamp_ns, self._config.frames_s):
             return
         motion = message.speed_mps, message.yaw_rate_radps
         yield f"/view/{topic}", proto_message(plotted_pose(message.T_odom_base, *motion))
         if topic == "odom":
             self._motion = motion
-            one = frame(message.stamp_ns, "odom", "base", message.T_odom_base)
-            yield "/view/frames", FrameTransforms(transforms=[one])
+            shown = [frame(message.stamp_ns, "odom", "base", message.T_odom_base)]
+            if self._implement is not None and self._follower is not None:
+                T = scenes.T_base_implement(self._implement, self._hitch_rad)
+                shown.append(frame(message.stamp_ns, "base", "implement", T))
+            yield "/view/frames", FrameTransforms(transforms=shown)
 
     def _show_map_pose(self, topic: str, message: MapPose) -> Iterator[Shown]:
         if message.is_initialized and self._is_due(topic, message.stamp_ns, self._config.frames_s):

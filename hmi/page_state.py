@@ -6,6 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from configs.vehicle import TrailedImplement
+from geometry.drawbar import Follower
 from geometry.pose2 import Pose2
 from hmi.coverage import Coverage, Trail
 from hmi.drive_view.corrections import CorrectionWatch
@@ -41,6 +43,9 @@ class PageState:
         self.stops = 0  # of automatic operation, by obstacles, faults and emergencies
         self.new_faults: list[Fault] = []  # of the last messages
         self.corrections = CorrectionWatch(scene.max_correction_age_s)
+        self._follower: Follower | None = None
+        if isinstance(scene.implement, TrailedImplement):
+            self._follower = Follower(scene.implement.hitch_m, scene.implement.axle_length_m)
         self._counted_odom_m: tuple[float, float] | None = None
         self._mode: Mode | None = None
         self._newest: dict[str, Message] = {}
@@ -89,6 +94,11 @@ class PageState:
         return sorted(topic for topic in self._newest if topic.partition("/")[0] == kind)
 
     @property
+    def hitch_rad(self) -> float:
+        """Hitch angle of a trailed implement, which is not measured, from the path driven; 0 of a mounted one."""
+        return 0.0 if self._follower is None else self._follower.hitch_rad
+
+    @property
     def pose(self) -> Pose2 | None:
         """Pose of `base` in `map`: the newest odometry by the newest alignment; None unless both are known."""
         odometry, map_pose = self.newest("odom", Odometry), self.newest("map_pose", MapPose)
@@ -114,6 +124,8 @@ class PageState:
 
     def _take_motion(self, odometry: Odometry) -> None:
         self._count_distance(odometry)
+        if self._follower is not None:
+            self._follower.move(Pose2.of(odometry.T_odom_base))
         pose, machine = self.pose, self.newest("machine", MachineState)
         if pose is not None:
             self.trail.update(pose)

@@ -12,8 +12,10 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.site import Site
 from configs.strict import Config, parse
-from configs.vehicle import Implement, Vehicle
+from configs.vehicle import Body, Implement, TrailedImplement, Vehicle, outlines
 from geometry.arrays import Float64
+from geometry.pose2 import Pose2
+from geometry.rectangle import Rectangle
 from messages.errors import ConfigError
 
 
@@ -48,6 +50,17 @@ class Scene:
         for area in self.site.no_go:
             field = field.difference(Polygon(area.outline_m))
         return field
+
+
+def placed_outlines(body: Body, implement: Implement, hitch_rad: float) -> list[tuple[Rectangle, Pose2]]:
+    """Outlines of machine and implement, each with the pose of its carrier in `base`: a trailed one is at its hitch."""
+    if not isinstance(implement, TrailedImplement):
+        return [(outline, Pose2(0.0, 0.0, 0.0)) for outline in outlines(body, implement)]
+    trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
+    return [
+        *((outline, Pose2(0.0, 0.0, 0.0)) for outline in outlines(body, None)),
+        (trailed, Pose2(implement.hitch_m, 0.0, hitch_rad)),
+    ]
 
 
 def scene_of(text: str, where: str, planned_map_m: tuple[Float64, ...] = ()) -> Scene:

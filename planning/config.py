@@ -20,6 +20,9 @@ class PlannerConfig(Config):
     smoothing_m: float = Field(ge=0.3, le=6.0, description="averaging window; makes curvature continuous")
     run_out_m: float = Field(ge=0.0, le=20.0, description="straight after the implement has left the line")
     line_up_m: float = Field(ge=0.5, le=20.0, description="straight before the implement reaches the line")
+    line_tolerance_m: float = Field(
+        gt=0.0, le=0.5, description="distance of a trailed implement from its line where work begins"
+    )
     min_swath_m: Metres
     reverse_kmh: Kmh = Field(description="in turns")
     cusp_s: float = Field(ge=0.0, le=60.0, description="time of a change of direction: stop, steer, start")

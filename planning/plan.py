@@ -10,7 +10,7 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Line, Mission, Work
 from configs.site import PoseConfig, Site
-from configs.vehicle import Implement, Vehicle
+from configs.vehicle import Implement, TrailedImplement, Vehicle
 from geometry.arrays import runs_of
 from geometry.footprint import corners_of, worked
 from geometry.polygon import grow, open_by, parts, place_of, shrink
@@ -27,7 +27,6 @@ from planning.line import line_paths
 from planning.path import paths_of
 from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
-from planning.turns.free_space import FreeSpace
 
 PROOF_SLACK_M = 0.005  # margin added in planning over the one verified
 MIN_UNCOVERED_M2 = 0.25
@@ -104,6 +103,8 @@ def plan_mission(
     `report` is called with the name of each stage of a field.
     Raises FieldError with the position when it cannot be driven.
     """
+    if isinstance(implement, TrailedImplement):
+        _check_forward(mission, implement)
     folded = rig_of(vehicle, implement.folded, mission.work, config.planner)
     if mission.line is not None:
         plan = plan_line(mission.line, site, rig_of(vehicle, implement, None, config.planner), folded, start)
@@ -125,6 +126,15 @@ def plan_mission(
     return replace(plan, paths=paths, length_m=_length_m(paths), docking=docking, docking_paths=docking_paths)
 
 
+def _check_forward(mission: Mission, implement: TrailedImplement) -> None:
+    """Raises FieldError for a mission that reverses with a trailed implement."""
+    name = f"implement {implement.name!r} is trailed and does not reverse"
+    if mission.bay is not None:
+        raise FieldError(f"{name}: into bay {mission.bay!r} the machine would; take a mission without bay")
+    if mission.line is not None and any(leg.is_reverse for leg in mission.line.legs):
+        raise FieldError(f"{name}: leave out the reverse legs of the line")
+
+
 def plan_field(
     site: Site,
     vehicle: Vehicle,
@@ -139,13 +149,16 @@ def plan_field(
     rig, folded = (rig_of(vehicle, i, work, config) for i in (implement, implement.folded))
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     areas = regions_of(drivable, rig.width_m, folded.width_m)
-    passes = [headland_passes_of(area, rig, work.headland_passes, work.overlap_m) for area in areas]
+    if rig.trailer is not None:
+        areas = areas[:1]  # it does not fold, and is in line only after a long straight
+    passes = [headland_passes_of(area, rig, rig.headland_passes(work), work.overlap_m) for area in areas]
     report("swaths")
-    space, transport = (FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded))
+    space, transport = (r.space(drivable.allowed) for r in (rig, folded))
+    on_lines = rig.space(drivable.allowed, rig.askew_m)
     regions = list[Region]()
     for region, around in zip(areas, passes, strict=True):
         first = sum(len(r.swaths) for r in regions)
-        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work, space)]
+        swaths = [replace(s, number=first + s.number) for s in swaths_inside(region, rig, around, work, on_lines)]
         regions.append(Region(PathConnector(region, rig, around, seed, space), swaths))
     if not any(passes) and not any(r.swaths for r in regions):
         x, y = drivable.field.centroid.coords[0]
@@ -196,10 +209,21 @@ def _length_m(paths: Sequence[Path]) -> float:
 
 
 def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: DrivableArea) -> None:
-    """Raises FieldError with the position where a body leaves the drivable area."""
-    spaces = [FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded)]
+    """Raises FieldError with the position where a body leaves the drivable area, or a trailed one turns too far.
+
+    A trailed implement is in line at first.
+    """
+    spaces, hitch_rad = [r.space(drivable.allowed) for r in (rig, folded)], 0.0
     for path in paths:
-        outside = spaces[path.is_transport].touching(path.p_map_m, path.heading_rad)
+        outside = spaces[path.is_transport].touching(path.p_map_m, path.heading_rad, hitch_rad)
+        angles = rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)
+        hitch_rad, k = float(angles[-1]), int(np.argmax(np.abs(angles)))
+        if abs(angles[k]) > rig.max_hitch_rad:
+            where = describe(drivable.site, *map(float, path.p_map_m[k]))
+            raise FieldError(
+                f"the implement would turn by {np.degrees(abs(angles[k])):.0f}° against the machine at {where}, "
+                f"max_hitch_deg is {np.degrees(rig.max_hitch_rad):.0f}: drive wider bends"
+            )
         if outside.any():
             k = int(np.argmax(outside))
             x, y = path.p_map_m[k]
@@ -212,11 +236,13 @@ def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: Drivabl
 
 def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     """Area swept by the working line where `is_working` is set."""
-    shapes = []
+    shapes, hitch_rad = [], 0.0
     for path in paths:
-        left, right = rig.working_edges(path.p_map_m, path.heading_rad)
+        p, heading = rig.carriers(path.p_map_m, path.heading_rad, hitch_rad)
+        hitch_rad = float(rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)[-1])
+        left, right = rig.working_edges(p, heading)
         for a, b in runs_of(path.is_working > 0):
-            keep = corners_of(np.unwrap(path.heading_rad[a : b + 1])) + a
+            keep = corners_of(np.unwrap(heading[a : b + 1])) + a
             shapes.append(worked(left[keep], right[keep]))
     return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
 

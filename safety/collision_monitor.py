@@ -7,7 +7,7 @@ geofence, known structure ───────┘   (updated on new data)      
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from messages.motion import MapPose, Odometry
 from messages.perception import ObstacleClass, SensorHealth, Track, Tracks
 from messages.plan import Path, PathSectionType
 from safety.config import SafetyConfig
+from safety.hitch_angle import HitchAngle
 from safety.monitors.vehicle import position_sigma_m
 from safety.obstacle_sources import THIN_M, ObstacleSources, SourceData
 from safety.pose_history import PoseHistory, planar_pose
@@ -94,6 +95,8 @@ class CollisionMonitor:
         self.standing_bodies = StandingBodies(config.standing_body)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working
+        drawbar = footprints.working.drawbar
+        self._hitch_angle = None if drawbar is None else HitchAngle(drawbar, footprints.max_hitch_rad)
         self._geofence, self._known_structure = geofence, known_structure
         self._open, self._docked, self._config = config, config.docked, config
         self._key: tuple[int, int, bool] = (-1, 0, False)
@@ -118,6 +121,7 @@ class CollisionMonitor:
             return
         self.pose_history.add(odom)
         is_new_footprint = self._set_footprint(inputs.fold)
+        self._follow_hitch(odom)
         self.sources.set_hitch(inputs.hitch)
         is_relevant = self.sources.update(inputs.source_data, self.pose_history, odom)
         stamps, new = stamps_of(inputs), self.sources.with_new_scan(inputs.source_data)
@@ -185,11 +189,18 @@ class CollisionMonitor:
     def _set_footprint(self, fold: float | None) -> bool:
         """Selects the footprint at this fold position; returns whether it changed."""
         footprint = self._footprints.at(fold)
-        if footprint is self._footprint:
+        if footprint is self._footprint or self._hitch_angle is not None:
             return False
         self._footprint = footprint
         self.sources.set_footprint(footprint)
         return True
+
+    def _follow_hitch(self, odom: Odometry) -> None:
+        """Sets the bounds of the hitch angle of a trailed implement, which does not fold."""
+        if self._hitch_angle is not None:
+            self._hitch_angle.add(planar_pose(odom.T_odom_base))
+            self._footprint = replace(self._footprints.working, hitch_rad=self._hitch_angle.bounds_rad)
+            self.sources.set_footprint(self._footprint)
 
     def _select_field(self, position: PathPosition | None, pose_map: Float64 | None) -> None:
         """Selects the docking field: on a path section to or from a bay, at the shed, in transport width."""

@@ -227,7 +227,8 @@ class _Draw:
 
     def implement(self, implement: MountedImplement | TrailedImplement) -> MountedImplement | TrailedImplement:
         """True implement."""
-        lengths = ("working_point_m", "front_end_m", "rear_end_m", "hitch_m", "axle_length_m", "working_length_m")
+        lengths = ("working_point_m", "front_end_m", "rear_end_m", "hitch_m", "axle_length_m", "working_length_m",
+                   "total_length_m")  # fmt: skip
         true = self.scaled(implement, self._config.actuator_factor, "lift_s", "lower_s")
         true |= self.shifted(implement, *(key for key in lengths if hasattr(implement, key)))
         true["width_m"] = implement.width_m + abs(self.error(self._config.dimension_m))

@@ -4,13 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from configs.vehicle import outlines
 from geometry.arrays import Float64
 from geometry.polyline import simplified
 from geometry.pose2 import Pose2, to_frame
 from hmi.drive_view.sensing import near_tracks, track_text
 from hmi.page_state import PageState
-from hmi.scene import Scene
+from hmi.scene import Scene, placed_outlines
 from hmi.texts import Texts
 from messages.command import MachineState, SupervisorState
 from messages.motion import MapPose
@@ -39,9 +38,8 @@ def moving_map(state: PageState, texts: Texts) -> dict[str, Any]:
     machine, supervisor = state.newest("machine", MachineState), state.fresh("supervisor", SupervisorState)
     is_folded = machine is not None and machine.fold_position > 0.5
     implement = state.scene.implement.folded if is_folded else state.scene.implement
-    bodies = [
-        _listed(to_frame(pose, rectangle.corners_m)) for rectangle in outlines(state.scene.vehicle.body, implement)
-    ]
+    placed = placed_outlines(state.scene.vehicle.body, implement, state.hitch_rad)
+    bodies = [_listed(to_frame(pose, to_frame(carrier, rectangle.corners_m))) for rectangle, carrier in placed]
     shown = {"pose": [round(pose.x_m, 2), round(pose.y_m, 2), round(pose.yaw_rad, 4)], "bodies": bodies}
     shown["tracks"] = _tracks(state, pose, texts)
     if supervisor is not None:

@@ -7,12 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from configs.vehicle import Camera, Vehicle, outlines
+from configs.vehicle import Camera, Vehicle
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2, from_frame, to_frame
 from geometry.transforms import apply, invert, yaw_of
 from hmi.drive_view.sensing import LIVING, near_tracks, track_text
 from hmi.page_state import PageState
+from hmi.scene import placed_outlines
 from hmi.texts import Texts
 from messages.command import MachineState, SupervisorState
 from messages.motion import Odometry
@@ -87,15 +88,16 @@ def lidar_points(state: PageState) -> Float64:
 
 
 def bodies(state: PageState) -> list[list[float]]:
-    """Machine and implement as boxes: centre, then size."""
+    """Machine and implement as boxes: centre, then size, and the hitch angle of a trailed one."""
     scene, machine = state.scene, state.newest("machine", MachineState)
     is_folded = machine is not None and machine.fold_position > 0.5
     implement = scene.implement.folded if is_folded else scene.implement
     found, heights = [], ((MACHINE_LOW_M, scene.vehicle.body.height_m), (0.0, IMPLEMENT_HIGH_M))
-    for outline, (low_m, high_m) in zip(outlines(scene.vehicle.body, implement), heights, strict=False):
+    placed = placed_outlines(scene.vehicle.body, implement, state.hitch_rad)
+    for (outline, carrier), (low_m, high_m) in zip(placed, heights, strict=False):
         low, high = outline.corners_m.min(axis=0), outline.corners_m.max(axis=0)
-        center, size = 0.5 * (low + high), high - low
-        found.append(_rounded([*center, 0.5 * (low_m + high_m), *size, high_m - low_m]))
+        center, size = to_frame(carrier, 0.5 * (low + high)[None])[0], high - low
+        found.append(_rounded([*center, 0.5 * (low_m + high_m), *size, high_m - low_m, carrier.yaw_rad]))
     return found
 
 

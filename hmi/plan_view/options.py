@@ -10,7 +10,7 @@ import yaml
 
 from configs.mission import Consent, Mission, Work
 from configs.strict import CONFIGS, load
-from configs.vehicle import ImplementFile, Vehicle
+from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import ConfigError
 
 MAX_PASSES = 10
@@ -119,14 +119,14 @@ def default_work() -> Work:
 
 
 def default_options(vehicle_name: str, implement_name: str) -> PlanOptions:
-    """Options at the start: the files of `configs/` with these names, else the first ones."""
+    """Options at the start: the files of `configs/` with these names, else the first ones that are driven."""
     known, work = choices(), default_work()
     machines = {load(Vehicle, CONFIGS / "machines" / f"{stem}.yaml").name: stem for stem in known["machine"]}
-    implements = {
-        load(ImplementFile, CONFIGS / "implements" / f"{stem}.yaml").implement.name: stem for stem in known["implement"]
-    }
+    files = {stem: load(ImplementFile, CONFIGS / "implements" / f"{stem}.yaml") for stem in known["implement"]}
+    implements = {file.implement.name: stem for stem, file in files.items()}
+    driven = next(stem for stem, file in files.items() if isinstance(file.implement, MountedImplement))
     return PlanOptions(
-        machines.get(vehicle_name, known["machine"][0]), implements.get(implement_name, known["implement"][0]),
+        machines.get(vehicle_name, known["machine"][0]), implements.get(implement_name, driven),
         work.headland_passes, work.turns,
     )  # fmt: skip
 

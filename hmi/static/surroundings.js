@@ -88,7 +88,7 @@ window.headlandSurroundings = (() => {
     function show(shown) {
       clear();
       box.dataset.points = showPoints(shown.points); box.dataset.tracks = shown.tracks.length;
-      shown.bodies.forEach(([x, y, z, ...size], k) => moving.add(edges(size, [x, y, z], 0, MACHINE[k % 2])));
+      shown.bodies.forEach(([x, y, z, l, w, h, yaw], k) => moving.add(edges([l, w, h], [x, y, z], yaw, MACHINE[k % 2])));
       shown.tracks.forEach((track) => {
         moving.add(edges(track.size, track.at, track.yaw, COLORS[track.class] || OTHER));
         if (track.is_shown) moving.add(label(track));

@@ -32,6 +32,7 @@ MIN_RING_M2 = 1.0
 MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
+SWING_M = 0.03  # added to the distance of the passes from the edge: a trailed implement swings before and after bends
 NEAR_WIDTHS = 0.3  # of another pass
 SLIM = 0.5  # of the bodies: where they are not free either, a line is cut before it is displaced
 SHARP = 2.0  # of the curvature of the turning radius: a line is cut in such a corner
@@ -105,7 +106,7 @@ def headland_passes_of(drivable: DrivableArea, rig: Rig, count: int, overlap_m: 
     """
     if count == 0:
         return []
-    space = FreeSpace(drivable.inner, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    space = rig.space(drivable.inner)
     shape = shrink(drivable.free, depth_m(drivable, rig, overlap_m, 0))
     outer = _passes_around(shape, space, rig, 0)
     outer += _passes_beside(shape, outer, space, rig)
@@ -239,6 +240,7 @@ def _as_long_as_needed(
 def depth_m(drivable: DrivableArea, rig: Rig, overlap_m: float, number: int) -> float:
     """Distance of the centre line of pass `number` from the edge."""
     first = drivable.margin_m + rig.width_m / 2.0 + rig.config.edge_slack_m
+    first += 0.0 if rig.trailer is None else SWING_M
     return first + number * (rig.working_width_m - overlap_m)
 
 
@@ -258,7 +260,8 @@ def _strip(ring: HeadlandPass, index: Int64, rig: Rig) -> BaseGeometry:
     """Area worked over points of a pass."""
     index = index[np.unique(np.append(np.arange(0, len(index), 4), len(index) - 1))]
     index = index % (len(ring.points_m) - 1) if ring.is_closed else index
-    return worked(*rig.working_edges(ring.points_m[index], ring.heading_rad[index]))
+    p, heading = rig.carriers(ring.points_m, ring.heading_rad, is_closed=ring.is_closed)
+    return worked(*rig.working_edges(p[index], heading[index]))
 
 
 def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
@@ -279,9 +282,9 @@ def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[H
                 line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
                 room = leaving if k > 0 else space
                 points, heading = displaced(line, room)
-                wrong = is_undrivable(points, heading, room)
+                wrong = is_undrivable(points, heading, room, is_closed=True)
                 undrivable += int(wrong.sum())
-                found += _cut(HeadlandPass(number, points, heading, k > 0, True), wrong)
+                found += _cut(HeadlandPass(number, points, heading, k > 0, True), wrong, rig, room)
         if best is None or undrivable < best[0]:
             best = undrivable, found
         if undrivable == 0:
@@ -293,12 +296,14 @@ def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[H
 def _passes_beside(shape: BaseGeometry, others: list[HeadlandPass], space: FreeSpace, rig: Rig) -> list[HeadlandPass]:
     """Open passes along the outline of a shape where `others` are not: in parts too narrow for them.
 
-    They are drivable in both directions. Their ends are far enough from the edges for a turn.
+    They are drivable in both directions, with a trailed implement in one. Their ends are far enough from the edges for
+    a turn.
     """
     taken = shapely.union_all([LineString(r.points_m).buffer(NEAR_WIDTHS * rig.working_width_m) for r in others])
     shapely.prepare(taken)
-    slim = replace(space, bodies=tuple(replace(b, width_m=SLIM * b.width_m) for b in space.bodies))
-    both, swing_m = _both_ways(space, rig.config.stop_gap_m), corner_reach_m(rig) - rig.radius_m - rig.width_m / 2.0
+    slim = replace(space, bodies=tuple(replace(b, width_m=SLIM * b.width_m) for b in space.bodies), trailer=None)
+    is_two_way, swing_m = rig.trailer is None, corner_reach_m(rig) - rig.radius_m - rig.width_m / 2.0
+    both = _both_ways(space, rig.config.stop_gap_m) if is_two_way else space
     found = list[HeadlandPass]()
     for part in parts(close_by(shape, rig.radius_m).simplify(ARC_ERROR_M), MIN_RING_M2):
         for k, ring in enumerate(ring_points(part)):
@@ -309,8 +314,8 @@ def _passes_beside(shape: BaseGeometry, others: list[HeadlandPass], space: FreeS
             for run in _runs(~(is_out | is_sharp), True):
                 if len(run) > MIN_OPEN_M / STEP_M:
                     points, heading = displaced(line[run], both, swing_m)
-                    open_pass = HeadlandPass(0, points, heading, k > 0, False, is_two_way=True)
-                    found += _cut(open_pass, is_undrivable(points, heading, both))
+                    open_pass = HeadlandPass(0, points, heading, k > 0, False, is_two_way=is_two_way)
+                    found += _cut(open_pass, is_undrivable(points, heading, both), rig, both)
     return found
 
 
@@ -326,17 +331,20 @@ def _straight_on(space: FreeSpace, run_out_m: float) -> FreeSpace:
     return replace(space, bodies=tuple(replace(b, front_m=max(b.front_m, run_out_m)) for b in space.bodies))
 
 
-def _cut(ring: HeadlandPass, outside: Bool) -> list[HeadlandPass]:
-    """The drivable parts of a pass."""
+def _cut(ring: HeadlandPass, outside: Bool, rig: Rig, space: FreeSpace) -> list[HeadlandPass]:
+    """The drivable parts of a pass; a trailed implement is in line at the beginning of each."""
     if ring.is_closed and not outside.any():
         return [ring]
-    least, bend = int(MIN_OPEN_M / STEP_M), np.abs(ring.curvature_radpm)
+    least, bend = int(max(MIN_OPEN_M, rig.min_swath_m) / STEP_M), np.abs(ring.curvature_radpm)
     kept = [_trimmed(run, bend[run] < MAX_JOINT_RADPM) for run in _runs(~outside, ring.is_closed)]
-    return [
+    found = [
         replace(ring, points_m=ring.points_m[run], heading_rad=np.unwrap(ring.heading_rad[run]), is_closed=False)
         for run in kept
         if len(run) > least
     ]
+    if rig.trailer is None:
+        return found
+    return [p for p in found if space.is_free(p.points_m, p.heading_rad)]
 
 
 def _runs(is_kept: Bool, is_closed: bool) -> list[Int64]:

@@ -165,8 +165,8 @@ def _nearest(
     rig, config = connector.rig, connector.rig.config
     places = [tour.place(at)[0] for at, _, _ in options]
     starts, ends = ([_ends(line, r)[k] for r in (False, True)] for k in (0, 1))
-    onto = bounds_s(places, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
-    off = bounds_s(ends, places, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    onto = bounds_s(places, starts, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
+    off = bounds_s(ends, places, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
     time = [off[int(r), k] if i else onto[k, int(r)] for k, (_, r, i) in enumerate(options)]
     return [options[k] for k in np.argsort(time, kind="stable")]
 
@@ -179,8 +179,8 @@ def _cheapest(
     places = [tour.place(at)[0] for at, _ in options]
     starts, ends = ([_ends(line, r)[k] for r in (False, True)] for k in (0, 1))
     goals = [stop.leg.pose(0) for stop in tour.stops] + ([home] if home is not None else [])
-    onto = bounds_s(places, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
-    off = bounds_s(ends, goals, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    onto = bounds_s(places, starts, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
+    off = bounds_s(ends, goals, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
     time = []
     for k, (at, r) in enumerate(options):
         saved = tour.stops[at].way.time_s if at < len(tour.stops) else 0.0

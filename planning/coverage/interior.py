@@ -59,7 +59,8 @@ def fill_bare(
 def _strip(leg: Leg, rig: Rig) -> BaseGeometry:
     """Area worked over a leg."""
     keep = corners_of(np.unwrap(leg.heading_rad))
-    return worked(*rig.working_edges(leg.p_map_m[keep], leg.heading_rad[keep]))
+    p, heading = rig.carriers(leg.p_map_m, leg.heading_rad)
+    return worked(*rig.working_edges(p[keep], heading[keep]))
 
 
 def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
@@ -71,7 +72,7 @@ def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> l
     """Swaths over an area, in the direction of the mission or the cheapest of each part."""
     area = polygon_of(open_by(bare, SLIVER_M / 2.0))
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
-    min_m = rig.config.min_swath_m
+    min_m = rig.min_swath_m
     found = []
     for part in parts(area, worth_of(rig, False).least_m2):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:

@@ -96,7 +96,7 @@ def _next(
 def _nearest(connector: PathConnector, pose: Pose2, starts: dict[int, Pose2]) -> list[int]:
     """Those of the starts that are reached soonest without obstacles."""
     rig, config = connector.rig, connector.rig.config
-    bound = bounds_s([pose], list(starts.values()), config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    bound = bounds_s([pose], list(starts.values()), config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
     return [list(starts)[k] for k in np.argsort(bound[0], kind="stable")[:MAX_TURNS]]
 
 
@@ -167,7 +167,7 @@ def _bounds(
     known = [k for k, v in enumerate(visits) if v is not None]
     pairs = [v for v in visits if v is not None]
     ends, starts = [*(b for _, b in pairs), start], [a for a, _ in pairs] + ([home] if home is not None else [])
-    bound = bounds_s(ends, starts, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)
+    bound = bounds_s(ends, starts, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
     n = len(visits)
     cost = np.full((n + 1, n + 1), NOT_DRIVABLE_S)
     cost[np.ix_([*known, n], known)] = bound[:, : len(known)]

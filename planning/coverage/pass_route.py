@@ -53,6 +53,9 @@ def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] 
     cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
+    if connector.rig.trailer is not None:
+        for ring, entries in left:
+            _follow(connector, ring, entries)
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
@@ -85,7 +88,7 @@ def opened(ring: HeadlandPass, connector: PathConnector, ends: list[Pose2]) -> H
     entries = _entries(ring, rig.radius_m)
     poses, first = [e.start for e in entries], entries[0].index
     if ends:
-        bound = bounds_s(ends, poses, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)
+        bound = bounds_s(ends, poses, rig.config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)
         ranked = np.argsort(bound, axis=None, kind="stable")[:MAX_ENTRIES]
         near = [(int(k) // len(poses), int(k) % len(poses)) for k in ranked]
         found = (n for e, n in near if connector.turn(connector.request(ends[e], poses[n])) is not None)
@@ -123,6 +126,15 @@ def _best(
     return None
 
 
+def _follow(connector: PathConnector, ring: HeadlandPass, entries: list[_Entry]) -> None:
+    """Keeps the drives over a pass with a trailed implement, and its hitch angles at their ends."""
+    angles = connector.rig.hitch_angles(ring.points_m, ring.heading_rad, is_closed=True)
+    leg = Leg(1, ring.points_m[:-1], ring.heading_rad[:-1], ring.curvature_radpm[:-1])
+    for entry in entries:
+        connector.hitch_rad[entry.end] = float(angles[(entry.index + CLOSING) % (len(angles) - 1)])
+        connector.beginnings[entry.start] = leg, entry.index
+
+
 def _along(
     connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry]
 ) -> Iterator[tuple[Connection, _Entry]]:
@@ -148,7 +160,7 @@ def _is_left(connector: PathConnector, entry: _Entry, goals: Sequence[Pose2] | N
     if not goals:
         return goals is None
     rig, config = connector.rig, connector.rig.config
-    bound = bounds_s([entry.end], goals, config.run_out_m, config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    bound = bounds_s([entry.end], goals, config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)[0]
     ranks = np.unique(np.geomspace(1, len(goals), MAX_GOALS).astype(int)) - 1
     near = [connector.request(entry.end, goals[k]) for k in np.argsort(bound, kind="stable")[ranks]]
     return any(connector.turn(r) for r in near) or any(connector.find(r) for r in near[:THOROUGH_NEAR])
@@ -172,7 +184,7 @@ def _nearest_to_others(connector: PathConnector, ring: HeadlandPass, entries: li
 def _by_time(connector: PathConnector, last: _Entry, entries: list[_Entry]) -> list[int]:
     """Indices of the entries, nearest in time first."""
     rig, goals = connector.rig, [e.start for e in entries]
-    bound = bounds_s([last.end], goals, rig.config.run_out_m, rig.config.line_up_m, rig.radius_m, rig.turn_times)[0]
+    bound = bounds_s([last.end], goals, rig.config.run_out_m, rig.line_up_m, rig.radius_m, rig.turn_times)[0]
     saved_s = np.array([e.saved_s for e in entries])
     return [int(k) for k in np.argsort(bound - saved_s, kind="stable")]
 

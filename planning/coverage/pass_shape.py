@@ -6,7 +6,7 @@ of d is a linear program, and both are repeated until the bodies are free (seque
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array, csr_array, vstack
 
 from geometry.arrays import Bool, Float64, Int32, Int64, runs_of
+from geometry.drawbar import Trailer, hitch_poses
 from geometry.footprint import place
 from geometry.jit import kernel
 from geometry.polyline import arc_length, at_length, curvatures, extend, headings
@@ -72,7 +73,7 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
     near = _Surroundings(space)
     best, best_round = (size + 1, points, heading), 0
     for number in range(ROUNDS):
-        is_out = _near_knots(_is_out(points, heading, space)) & is_inner
+        is_out = _near_knots(_is_out(points, heading, space, is_closed)) & is_inner
         is_bent = _near_knots(_is_too_bent(points, heading, space)) & is_inner
         wrong = int((is_out | is_bent).sum())
         is_shaped = is_closed or number > 0  # an open line first leaves the edge at its ends
@@ -80,7 +81,11 @@ def displaced(line_m: Float64, space: FreeSpace, ends_m: float | None = None) ->
             best, best_round = (wrong, points, heading), number
         if (wrong == 0 and is_shaped) or number - best_round > PATIENCE:
             break
-        contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT], is_inner)
+        if space.trailer is None:
+            contacts = near.contacts(points[:-1:KNOT], heading[:-1:KNOT], is_inner)
+        else:
+            contacts = near.contacts_of_all(points, heading, is_inner, is_closed)
+            is_out = _before(is_out, space.trailer) & is_inner
         s = arc_length(points)
         bend, step_m = curvatures(heading, s)[:-1:KNOT], KNOT * np.gradient(s)[:-1:KNOT]
         is_wrong = is_out | is_bent | (is_end & (number == 0))
@@ -100,6 +105,17 @@ def _near_knots(is_wrong: Bool) -> Bool:
     return np.asarray(is_after | np.roll(is_after, 1), np.bool_)
 
 
+def _before(is_out: Bool, trailer: Trailer) -> Bool:
+    """Knots marked, and those before them where the path led a trailed implement that far."""
+    count = _behind(trailer.drawbar.hitch_m + trailer.body.rear_m)
+    return np.asarray(np.any([np.roll(is_out, -k) for k in range(-count + 1)], axis=0), np.bool_)
+
+
+def _behind(x_m: float) -> int:
+    """Knots from where the machine is to a place along x of `base`."""
+    return round(x_m / (KNOT * STEP_M))
+
+
 def _between(d: Float64) -> Float64:
     """The closed cubic B-spline of coefficients at knots, at all points of the base line."""
     u = np.arange(KNOT) / KNOT
@@ -108,16 +124,18 @@ def _between(d: Float64) -> Float64:
     return np.append(values, values[0, 0])
 
 
-def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
+def is_undrivable(points_m: Float64, heading_rad: Float64, space: FreeSpace, is_closed: bool = False) -> Bool:
     """Poses of a pass, (N,), at which a body is outside or the curvature is too high."""
-    return _is_out(points_m, heading_rad, space) | _is_too_bent(points_m, heading_rad, space)
+    return _is_out(points_m, heading_rad, space, is_closed) | _is_too_bent(points_m, heading_rad, space)
 
 
-def _is_out(points_m: Float64, heading_rad: Float64, space: FreeSpace) -> Bool:
+def _is_out(points_m: Float64, heading_rad: Float64, space: FreeSpace, is_closed: bool) -> Bool:
     """Poses at which, or half a step before or after which, a body is outside: a path has poses between those of it."""
     turn = np.diff(np.unwrap(heading_rad))
+    at = space.touching(points_m, heading_rad, is_closed=is_closed)
+    if space.trailer is not None:  # it turns slowly: checked at all poses
+        space = replace(space, trailer=None)
     between = space.touching(0.5 * (points_m[:-1] + points_m[1:]), heading_rad[:-1] + 0.5 * turn)
-    at = space.touching(points_m, heading_rad)
     return np.asarray(at | np.append(between, False) | np.append(False, between), np.bool_)
 
 
@@ -143,9 +161,44 @@ class _Surroundings:
         knot, *columns = (np.concatenate(column) for column in zip(*found, strict=True))
         return _Contacts(used[knot], *columns)
 
+    def contacts_of_all(self, p_map_m: Float64, heading_rad: Float64, is_used: Bool, is_closed: bool) -> _Contacts:
+        """Contacts of the rigid bodies, and those of a trailed implement; poses at all points of the pass.
+
+        Each place of the implement is taken to move across as the path does where it is: it follows the path.
+        """
+        at_knots = p_map_m[:-1:KNOT], heading_rad[:-1:KNOT]
+        rigid, trailer = self.contacts(*at_knots, is_used), self._space.trailer
+        assert trailer is not None
+        poses = hitch_poses(trailer.drawbar, p_map_m, heading_rad, is_closed=is_closed)[:-1:KNOT]
+        body, used = trailer.body, np.flatnonzero(is_used)
+        p, yaw = poses[used, :2].copy(), poses[used, 2].copy()
+        knot, point, clearance, along, across = self._corners(body.corners_m, p, yaw)
+        x = body.corners_m[point, 0]
+        beside, apart, side, slope = self._of_sides(body, p, yaw)
+        knot, x = np.concatenate([knot, beside]), np.concatenate([x, slope * side])
+        clearance, along = np.concatenate([clearance, apart]), np.concatenate([along, np.zeros(len(beside))])
+        across, knot = np.concatenate([across, side]), used[knot]
+        owner = knot + np.round((trailer.drawbar.hitch_m + x) / (KNOT * STEP_M)).astype(np.int64)
+        kept = is_closed | (owner >= 0)
+        knot, owner = knot[kept], owner[kept] % len(is_used)
+        turn = poses[knot, 2] - at_knots[1][owner]
+        shift = across[kept] * np.cos(turn) + along[kept] * np.sin(turn)
+        return _Contacts(
+            np.concatenate([rigid.knot, owner]), np.concatenate([rigid.clearance_m, clearance[kept]]),
+            np.concatenate([rigid.by_shift, shift]), np.concatenate([rigid.by_slope, np.zeros(len(owner))]),
+        )  # fmt: skip
+
     def _of_corners(
         self, corners_m: Float64, p_map_m: Float64, heading_rad: Float64
     ) -> tuple[Int64, Float64, Float64, Float64]:
+        knot, point, clearance, along, across = self._corners(corners_m, p_map_m, heading_rad)
+        x, y = corners_m[point].T
+        return knot, clearance, across, across * x - along * y
+
+    def _corners(
+        self, corners_m: Float64, p_map_m: Float64, heading_rad: Float64
+    ) -> tuple[Int64, Int64, Float64, Float64, Float64]:
+        """Knot, corner and clearance of each contact, and its direction inwards along and across the body."""
         at = place(corners_m, p_map_m, heading_rad)
         away = _from_edges(p_map_m, at, *self._grid)
         distance = np.minimum(np.hypot(away[..., 0], away[..., 1]), NEAR_M)
@@ -157,8 +210,7 @@ class _Surroundings:
         inwards = away[knot, point] / np.where(is_known, clearance[knot, point], 1.0)[:, None]
         along = np.where(is_known, c * inwards[:, 0] + s * inwards[:, 1], 0.0)
         across = np.where(is_known, c * inwards[:, 1] - s * inwards[:, 0], 1.0)
-        x, y = corners_m[point].T
-        return knot, clearance[knot, point], across, across * x - along * y
+        return knot, point, clearance[knot, point], along, across
 
     def _of_sides(
         self, body: Rectangle, p_map_m: Float64, heading_rad: Float64

@@ -144,7 +144,7 @@ def _beside_edges(left: BaseGeometry, rig: Rig, space: FreeSpace) -> list[Float6
 
 def _swaths_near(strip: Float64, rig: Rig, space: FreeSpace) -> list[Swath]:
     """Swaths on a line over an area and a little beyond, each no longer than the area and the shortest swath need."""
-    least_m = rig.config.min_swath_m
+    least_m = rig.min_swath_m
     length = float(np.hypot(*(strip[1] - strip[0])))
     along = (strip[1] - strip[0]) / length
     found = swaths_on(strip + np.array([[-least_m], [least_m]]) * along, rig, space)

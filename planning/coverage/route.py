@@ -29,7 +29,7 @@ from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.free_space import FreeSpace
-from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, straight
+from planning.turns.search import STEP_M, Connection, Leg, straight
 from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
@@ -155,7 +155,10 @@ def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[H
     passes, lead_m = [p for p in connector.headland_passes if not p.is_closed], -connector.rig.working_x_m
     lines = lines_of(swaths, passes, lead_m)
     ends = [e[1] for line in lines for r in (False, True) if (e := line.ends(r)) is not None]
-    return [*lines, *lines_of((), [opened(ring, connector, ends) for ring in missed], lead_m)]
+    lines = [*lines, *lines_of((), [opened(ring, connector, ends) for ring in missed], lead_m)]
+    for leg in (leg for line in lines for leg in line.legs if leg is not None):
+        connector.follow(leg)
+    return lines
 
 
 def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece], Pose2]:
@@ -168,7 +171,8 @@ def _entry(connector: PathConnector, lane: Leg | None) -> tuple[list[RoutePiece]
         return [], start
     _check_lane(connector, lane)
     first, last = (lane.pose(k) for k in (0, -1))
-    connection = connector.require(ConnectionRequest(start, first, 0.0, 0.0), "out of the yard")
+    connection = connector.require(connector.start_request(start, first), "out of the yard")
+    connector.follow(lane)
     pieces = [RoutePiece(PathSectionType.LANE, -1, leg, False) for leg in connection.legs]
     return [*pieces, RoutePiece(PathSectionType.LANE, -1, lane, False)], last
 
@@ -193,12 +197,13 @@ def _check_lane(connector: PathConnector, lane: Leg) -> None:
             f"the lane turns with a radius of {sharpest_m:.1f} m at {where}, the rig needs {radius_m:.1f} m: "
             "draw its corners further apart or less sharp"
         )
-    for heading in (lane.heading_rad, lane.heading_rad + np.pi):
-        outside = connector.space.touching(lane.p_map_m, heading)
+    for leg in (lane, lane.back):
+        outside = connector.space.touching(leg.p_map_m, leg.heading_rad)
         if outside.any():
-            where = describe(connector.drivable.site, *map(float, lane.p_map_m[int(np.argmax(outside))]))
+            where = describe(connector.drivable.site, *map(float, leg.p_map_m[int(np.argmax(outside))]))
+            more = "" if connector.rig.trailer is None else ", or draw wider bends: the trailed implement cuts them"
             raise FieldError(
-                f"a rig {connector.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane"
+                f"a rig {connector.rig.width_m:g} m wide does not fit on the lane at {where}: widen gate or lane{more}"
             )
 
 
@@ -238,7 +243,7 @@ def _parking(connector: PathConnector, lane_end: Pose2) -> Pose2:
     for ahead in np.arange(0.5, 40.0, 0.5):
         pose = lane_end.ahead(float(ahead))
         p, h = np.array([[pose.x_m, pose.y_m]]), np.array([pose.yaw_rad])
-        if is_inside(connector.rig.bodies, p, h, yard)[0] and connector.space.is_free(p, h):
+        if is_inside(connector.rig.straight_bodies, p, h, yard)[0] and connector.space.is_free(p, h):
             return pose
     where = describe(connector.drivable.site, lane_end.x_m, lane_end.y_m)
     raise FieldError(

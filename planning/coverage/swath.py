@@ -148,7 +148,7 @@ def swaths_on(strip: Float64, rig: Rig, space: FreeSpace) -> list[Swath]:
     runs = [_free_runs(ends, rig, space) for ends in (strip, strip[::-1])]
     found, backs = [], list(runs[1])
     for onwards in runs[0]:
-        partner = next((b for b in backs if _overlap_m(onwards, b) > 0.5 * rig.config.min_swath_m), None)
+        partner = next((b for b in backs if _overlap_m(onwards, b) > 0.5 * rig.min_swath_m), None)
         if partner is not None:
             backs = [b for b in backs if b is not partner]
         found.append(Swath(0, onwards, partner))
@@ -176,5 +176,5 @@ def _free_runs(ends: Float64, rig: Rig, space: FreeSpace) -> list[Float64]:
     p = ends[0] + (s[:, None] - rig.working_x_m) * along
     free = ~space.touching(p, np.full(len(s), math.atan2(along[1], along[0])))
     runs = [(s[a] + beyond_m, s[b] - beyond_m) for a, b in runs_of(free)]
-    kept = [(a, b) for a, b in runs if b - a >= rig.config.min_swath_m - 1e-6]
+    kept = [(a, b) for a, b in runs if b - a >= rig.min_swath_m - 1e-6]
     return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in kept]

@@ -25,6 +25,7 @@ IN_YARD_M = 4.0  # length of a lane there
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
+START_M, BEHIND_M = 8.0, 1.0  # of the start before the far side of the yard, at least, and free behind the rig
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
 SPARE_M = 0.1  # at the start, beyond the margin to the edge
 CENTRE_ERROR_M = 0.1
@@ -83,7 +84,8 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     for a, b, share in _gate_places(outline.polygon, chosen_m, gate_m):
         if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
             continue
-        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m, drawn)
+        start_m = max(START_M, BEHIND_M - _extent(vehicle, implement)[0])
+        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m, drawn, start_m)
         is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
         if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
             return site
@@ -180,8 +182,13 @@ def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
     return sorted(edges, key=lambda e: (-round(float(np.hypot(*(e[1] - e[0]))), 3), float(e[0][0]), float(e[0][1])))
 
 
-def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64) -> Site:
-    """Site with a gate at the middle of an edge, and a straight lane or a drawn one (N, 2), away from the field."""
+def _site(
+    outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64, start_m: float
+) -> Site:
+    """Site with a gate at the middle of an edge, and a straight lane or a drawn one (N, 2), away from the field.
+
+    The start is `start_m` before the far side of the yard.
+    """
     out = np.array([along[1], -along[0]])  # the field is left of its edge
 
     def at(origin: Float64, sideways: float, aside: Float64, outwards: float, ahead: Float64) -> Point:
@@ -195,7 +202,7 @@ def _site(outline: FieldOutline, middle: Float64, along: Float64, gate_m: float,
     aside = np.array([-ahead[1], ahead[0]])
     half, wide, near = gate_m / 2.0, gate_m / 2.0 + 6.0, -IN_YARD_M
     far = near + YARD_DEPTH_M
-    start = at(end, 0.0, aside, far - 8.0, ahead)
+    start = at(end, 0.0, aside, far - start_m, ahead)
     corners = ((-wide, near), (-wide, far), (wide, far), (wide, near))
     points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - INTO_FIELD_M * out)]
     return Site(

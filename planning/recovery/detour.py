@@ -88,7 +88,7 @@ def plan_detour(
 
     It is free in `allowed` (drivable area less inflated obstacles) and rejoins the path after `earliest_m`.
     """
-    space = FreeSpace(allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    space = rig.space(allowed)
     first, last, right, left = extent_m(path, s_m, cause, rig.width_m)
     half = rig.width_m / 2.0 + config.clearance_m
     found = []

@@ -27,7 +27,6 @@ from planning.recovery.detour import (
 )
 from planning.recovery.static_obstacles import StaticObstacle, extended_depth
 from planning.rig import Rig
-from planning.turns.free_space import FreeSpace
 from planning.turns.headland_transit import along_headland
 from planning.turns.sampling import sampled_connection
 from planning.turns.search import ConnectionRequest
@@ -182,7 +181,7 @@ def _reverse_path(points: Float64, rig: Rig, config: MissionConfig, path_id: int
 def _bypass(blockage: Blockage, allowed: BaseGeometry, plan: Plan, config: MissionConfig, seed: int) -> Detour | None:
     """Leaves the rest of the line out: reverse, and any connection to the start of one of the next sections."""
     path, line_start_m, rig = blockage.active.path, blockage.active.line_start_m, plan.rig
-    space = FreeSpace(allowed, rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    space = rig.space(allowed)
     here = int(path.section_index[path.index_at(blockage.s_m)])
     _, past, _, _ = extent_m(path, blockage.s_m, blockage.cause.outline, rig.width_m)
     ahead = [

@@ -1,6 +1,8 @@
 """Connections between poses: turns, then along a headland pass, then by sampling."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -13,6 +15,7 @@ from planning.turns.search import Connection, ConnectionRequest, Leg, find_turn
 from planning.turns.transit import Track, along_passes, both_ways
 
 HOME_STRAIGHT_M = 1.0
+BEGINNING = 300  # points of a line, 30 m: then a trailed implement has forgotten its angle
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,12 @@ class RoutePiece:
 
 @dataclass
 class PathConnector:
-    """Finds free connections between poses; each request is searched once."""
+    """Finds free connections between poses; each request is searched once.
+
+    With a trailed implement a connection counts only where the implement, as it arrives, is free on the line that
+    begins at its goal. `hitch_rad`: hitch angles at ends of curved lines, at others it is in line; `beginnings`: curved
+    lines, closed ones without their last point, with the index where they begin.
+    """
 
     drivable: DrivableArea
     rig: Rig
@@ -41,6 +49,8 @@ class PathConnector:
     tracks: list[Track] = field(default_factory=list)
     turns: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
+    hitch_rad: dict[Pose2, float] = field(default_factory=dict)
+    beginnings: dict[Pose2, tuple[Leg, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for p in self.headland_passes:
@@ -49,7 +59,7 @@ class PathConnector:
     def turn(self, request: ConnectionRequest) -> Connection | None:
         """Fastest free turn, or None."""
         if request not in self.turns:
-            self.turns[request] = find_turn(request, self.space, self.rig.turn_times)
+            self.turns[request] = self._onto_line(request, find_turn(request, self.space, self.rig.turn_times))
         return self.turns[request]
 
     def find(self, request: ConnectionRequest) -> Connection | None:
@@ -58,16 +68,37 @@ class PathConnector:
         if turn is not None:
             return turn
         if request not in self.transits:
-            self.transits[request] = along_passes(request, self.space, self.rig.turn_times, self.tracks)
+            way = along_passes(request, self.space, self.rig.turn_times, self.tracks)
+            self.transits[request] = self._onto_line(request, way)
         return self.transits[request]
 
     def request(self, a: Pose2, b: Pose2, behind_m: float = 0.0, ahead_m: float = 0.0) -> ConnectionRequest:
         """From the end of one line, `behind_m` long, to the beginning of the next, `ahead_m` long."""
-        return ConnectionRequest(a, b, self.rig.config.run_out_m, self.rig.config.line_up_m, behind_m, ahead_m)
+        run_out_m, line_up_m = self.rig.config.run_out_m, self.rig.line_up_m
+        hitch_rad = self.hitch_rad.get(a, 0.0)
+        return ConnectionRequest(a, b, run_out_m, line_up_m, behind_m, ahead_m, hitch_rad, self.rig.tolerance_rad)
 
     def home_request(self, a: Pose2, home: Pose2, behind_m: float = 0.0) -> ConnectionRequest:
-        """From the end of a line, `behind_m` long, to the lane."""
-        return ConnectionRequest(a, home, self.rig.config.run_out_m, HOME_STRAIGHT_M, behind_m)
+        """From the end of a line, `behind_m` long, to the lane, on which a trailed implement is in line."""
+        straight_m = HOME_STRAIGHT_M if self.rig.trailer is None else self.rig.line_up_m
+        return replace(self.request(a, home, behind_m), line_up_m=straight_m)
+
+    def start_request(self, start: Pose2, lane: Pose2) -> ConnectionRequest:
+        """From the start to the lane, on which a trailed implement is in line."""
+        return ConnectionRequest(start, lane, 0.0, 0.0, most_hitch_rad=self.rig.tolerance_rad)
+
+    def follow(self, leg: Leg) -> None:
+        """Keeps a curved line with the hitch angle at its end; the implement is in line where it begins."""
+        if self.rig.trailer is not None and leg.curvature_radpm.any():
+            self.hitch_rad[leg.pose(-1)] = float(self.rig.hitch_angles(leg.p_map_m, leg.heading_rad)[-1])
+            self.beginnings[leg.pose(0)] = leg, 0
+
+    def _onto_line(self, request: ConnectionRequest, found: Connection | None) -> Connection | None:
+        if found is None or request.goal not in self.beginnings:
+            return found
+        leg, first = self.beginnings[request.goal]
+        index = (first + np.arange(min(BEGINNING, len(leg.heading_rad)))) % len(leg.heading_rad)
+        return found if self.space.is_free(leg.p_map_m[index], leg.heading_rad[index], found.hitch_rad) else None
 
     def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""

@@ -1,5 +1,7 @@
 """Free space of a rig: do its bodies, at poses along a path, touch an edge of the allowed area? Compiled, exact.
 
+A trailed implement follows its hitch along the poses, which are in driving order, from a known hitch angle.
+
 Edges lie in the lists of all cells of a grid from which the bodies could reach them, so one list is read for each pose.
 """
 
@@ -12,7 +14,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Float64, Int32
+from geometry.arrays import Bool, Float64, Int32
+from geometry.drawbar import Trailer, hitch_poses
 from geometry.footprint import Bodies
 from geometry.jit import kernel
 
@@ -41,6 +44,7 @@ class FreeSpace:
     bodies: Bodies
     radius_m: float
     smoothing_m: float
+    trailer: Trailer | None = None
 
     @cached_property
     def grid(self) -> EdgeGrid:
@@ -49,13 +53,22 @@ class FreeSpace:
 
     @property
     def reach_m(self) -> float:
-        """Greatest distance of a body point from `base`."""
-        return max(math.hypot(max(b.front_m, -b.rear_m), b.half_width_m) for b in self.bodies)
+        """Greatest distance of a body point from the origin of its carrier, `base` or hitch."""
+        bodies = self.bodies if self.trailer is None else (*self.bodies, self.trailer.body)
+        return max(math.hypot(max(b.front_m, -b.rear_m), b.half_width_m) for b in bodies)
 
     @cached_property
     def boxes_m(self) -> Float64:
         """Bodies as (B, 3): rear, front and half width."""
         return np.array([[b.rear_m, b.front_m, b.half_width_m] for b in self.bodies])
+
+    @cached_property
+    def trailed_m(self) -> Float64:
+        """Trailed implement as (1, 5): rear, front and half width, hitch along x of `base`, axle; (0, 5) without."""
+        if self.trailer is None:
+            return np.empty((0, 5))
+        body, drawbar = self.trailer.body, self.trailer.drawbar
+        return np.array([[body.rear_m, body.front_m, body.half_width_m, drawbar.hitch_m, drawbar.axle_m]])
 
     def __post_init__(self) -> None:
         shapely.prepare(self.allowed)
@@ -64,16 +77,38 @@ class FreeSpace:
         """Whether a point is inside."""
         return bool(shapely.contains_xy(self.allowed, x_m, y_m))
 
-    def is_free(self, p_map_m: Float64, heading_rad: Float64) -> bool:
+    def is_free(self, p_map_m: Float64, heading_rad: Float64, hitch_rad: float = 0.0) -> bool:
         """Whether all bodies are inside at all N poses, (N, 2) and (N,), dense enough to pass no edge between two."""
         if not self.contains(*p_map_m[0]):
             return False
-        return first_touching(p_map_m, heading_rad, self.boxes_m, *self.grid) == len(p_map_m)
+        if first_touching(p_map_m, heading_rad, self.boxes_m, *self.grid) < len(p_map_m):
+            return False
+        return self.trailer is None or not self._trailed_touching(p_map_m, heading_rad, hitch_rad).any()
 
-    def touching(self, p_map_m: Float64, heading_rad: Float64) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
-        """Poses at which a body is not completely inside, (N,)."""
+    def touching(self, p_map_m: Float64, heading_rad: Float64, hitch_rad: float = 0.0, is_closed: bool = False) -> Bool:
+        """Poses at which a body is not completely inside, (N,).
+
+        `hitch_rad` is the hitch angle at the first pose; a closed line is driven around.
+        """
         outside = ~shapely.contains_xy(self.allowed, p_map_m[:, 0], p_map_m[:, 1])
-        return outside | touching(p_map_m, heading_rad, self.boxes_m, *self.grid)
+        outside = outside | touching(p_map_m, heading_rad, self.boxes_m, *self.grid)
+        if self.trailer is None:
+            return np.asarray(outside, np.bool_)
+        return np.asarray(outside | self._trailed_touching(p_map_m, heading_rad, hitch_rad, is_closed), np.bool_)
+
+    def hitch_after(self, p_map_m: Float64, heading_rad: Float64, hitch_rad: float) -> float:
+        """Hitch angle of a trailed implement at the last of N poses, from that at the first; 0 without one."""
+        if self.trailer is None:
+            return 0.0
+        yaw = hitch_poses(self.trailer.drawbar, p_map_m, heading_rad, hitch_rad)[-1, 2]
+        return math.remainder(float(yaw - heading_rad[-1]), 2.0 * math.pi)
+
+    def _trailed_touching(
+        self, p_map_m: Float64, heading_rad: Float64, hitch_rad: float, is_closed: bool = False
+    ) -> Bool:
+        assert self.trailer is not None
+        found = hitch_poses(self.trailer.drawbar, p_map_m, heading_rad, hitch_rad, is_closed)
+        return touching(found[:, :2].copy(), found[:, 2].copy(), self.trailed_m[:, :3].copy(), *self.grid)
 
 
 def edges_of(area: BaseGeometry) -> Float64:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import Float64, Int32
+from geometry.drawbar import follow
 from geometry.jit import kernel
 from geometry.pose2 import Pose2
 from planning.turns.curve import MAX_SEGMENTS, solve, trace
@@ -16,6 +17,7 @@ from planning.turns.words import MAX_WORDS, SEGMENTS, words
 STEP_M = 0.1
 COARSE_M = 0.5
 COARSE_SLACK_M = 0.1  # of the first check, before ramps are corrected
+COARSE_HITCH = 1.3  # of the hitch angle at the goal, in that check
 MAX_POSES = 6000
 MAX_CANDIDATES = 6144
 MIN_RUN_M = 0.6
@@ -25,6 +27,8 @@ BACK_M = (-3.0, -5.5, -9.0)  # straight ends in reverse
 AT_ONCE_M = -1e-10  # straight end where the rig stands: reversing, an arc follows at once
 OVER_M = (3.0, 8.0)  # beyond the other end of a line
 FIRST_LIMIT, LIMIT = 24, 160
+UP_SHARES, LEAST_UP_M = (0.3, 0.45, 0.6, 0.75, 1.0), 1.0  # of the run-in of a trailed implement after the tightest turn
+FIRST_LIMIT_TRAILED, LIMIT_TRAILED = 40, 400
 NEAR_M, FAR_S = 40.0, 12.0  # farther apart a bound is the straight distance and this time
 
 
@@ -47,6 +51,7 @@ class ConnectionRequest:
     """From `start` to `goal`, straight for at least `run_out_m` after the first and `line_up_m` before the second.
 
     The rig may also reverse over the line just driven, `behind_m` long, or over the one to come, `ahead_m` long.
+    A trailed implement has the hitch angle `hitch_rad` at the start and at most `most_hitch_rad` at the goal.
     """
 
     start: Pose2
@@ -55,6 +60,8 @@ class ConnectionRequest:
     line_up_m: float
     behind_m: float = 0.0
     ahead_m: float = 0.0
+    hitch_rad: float = 0.0
+    most_hitch_rad: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -78,10 +85,11 @@ class Leg:
 
 @dataclass(frozen=True)
 class Connection:
-    """Free connection of two poses, one leg for each direction."""
+    """Free connection of two poses, one leg for each direction; `hitch_rad` of a trailed implement at its end."""
 
     legs: tuple[Leg, ...]
     time_s: float
+    hitch_rad: float = 0.0
 
     @property
     def points_m(self) -> Float64:
@@ -95,6 +103,8 @@ def find_turn(
     """Fastest free turn, or None; first the shortest straight ends, then all (not with `is_first_only`)."""
     if not space.contains(request.start.x_m, request.start.y_m):
         return None
+    if space.trailer is not None:
+        return _find_trailed(request, space, times, is_first_only)
     back = BACK_M if times.has_reverse else ()
     outs, ups = ([m + more for more in MORE_M] for m in (request.run_out_m, request.line_up_m))
     found = _search(request, space, times, ([outs[0], *back[:1]], [ups[0], *back[:1]], FACTORS[:1]), FIRST_LIMIT)
@@ -104,6 +114,20 @@ def find_turn(
         [-line_m - more for more in OVER_M if line_m > 0.0 and back] for line_m in (request.behind_m, request.ahead_m)
     ]
     return _search(request, space, times, ([*outs, *back, *over[0]], [*ups, *back, *over[1]], FACTORS), LIMIT)
+
+
+def _find_trailed(
+    request: ConnectionRequest, space: FreeSpace, times: TurnTimes, is_first_only: bool
+) -> Connection | None:
+    """As `find_turn`: after most turns the implement is on its line before the longest run-in ends."""
+    least_m = min(LEAST_UP_M, request.line_up_m)
+    ups = list(dict.fromkeys(max(share * request.line_up_m, least_m) for share in UP_SHARES))
+    found = _search(request, space, times, ([request.run_out_m], ups, FACTORS[:1]), FIRST_LIMIT_TRAILED)
+    if found is not None or is_first_only:
+        return found
+    outs = [request.run_out_m + more for more in MORE_M]
+    ends = outs, [*ups, *(request.line_up_m + more for more in MORE_M[1:])], FACTORS
+    return _search(request, space, times, ends, LIMIT_TRAILED)
 
 
 def _search(
@@ -116,9 +140,12 @@ def _search(
     poses = np.empty((MAX_POSES, 5))
     count, time_s = search_kernel(
         start, goal, outs, ups, factors, speeds, times.has_reverse, times.gap_m, space.radius_m, space.smoothing_m,
-        limit, space.boxes_m, *space.grid, poses,
+        limit, space.boxes_m, space.trailed_m, request.hitch_rad, request.most_hitch_rad, *space.grid, poses,
     )  # fmt: skip
-    return Connection(_legs(poses[:count]), time_s) if count > 0 else None
+    if count == 0:
+        return None
+    hitch_rad = space.hitch_after(poses[:count, :2], poses[:count, 2], request.hitch_rad)
+    return Connection(_legs(poses[:count]), time_s, hitch_rad)
 
 
 def straight(a: Pose2, b: Pose2) -> Leg:
@@ -213,8 +240,9 @@ def _time(lengths: Float64, radius_m: float, out: float, up: float, speeds: Floa
 @kernel
 def search_kernel(
     start: Float64, goal: Float64, outs: Float64, ups: Float64, factors: Float64, speeds: Float64, has_reverse: bool,
-    gap_m: float, radius_m: float, ramp_m: float, limit: int, boxes_m: Float64, edges_m: Float64, west_m: float,
-    south_m: float, columns: int, rows: int, first: Int32, items: Int32, poses: Float64,
+    gap_m: float, radius_m: float, ramp_m: float, limit: int, boxes_m: Float64, trailed_m: Float64, hitch_rad: float,
+    most_hitch_rad: float, edges_m: Float64, west_m: float, south_m: float, columns: int, rows: int, first: Int32,
+    items: Int32, poses: Float64,
 ) -> tuple[int, float]:  # fmt: skip
     """Fills `poses` with the fastest free one of the first `limit` candidates; their number (0: none) and its time."""
     lengths, sides = np.empty((MAX_WORDS, SEGMENTS)), np.empty((MAX_WORDS, SEGMENTS))
@@ -238,15 +266,29 @@ def search_kernel(
     slim = boxes_m.copy()
     slim[:, 0] += COARSE_SLACK_M
     slim[:, 1:] -= COARSE_SLACK_M
+    slim_trailed = trailed_m.copy()
+    slim_trailed[:, 0] += COARSE_SLACK_M
+    slim_trailed[:, 1:3] -= COARSE_SLACK_M
     for n in range(min(limit, total)):
         k = order[n]
         count = trace(rows_m[k], rows_radpm[k], start, ramp_m, COARSE_M, poses)
         if count == 0 or not _is_free(poses, count, gap_m, slim, edges_m, west_m, south_m, columns, rows, first, items):
             continue
+        if not _is_trailed_free(
+            poses, count, slim_trailed, hitch_rad, COARSE_HITCH * most_hitch_rad, edges_m, west_m, south_m, columns,
+            rows, first, items
+        ):  # fmt: skip
+            continue
         if not solve(rows_m[k], rows_radpm[k], start, goal, ramp_m, STEP_M, poses):
             continue
         count = trace(rows_m[k], rows_radpm[k], start, ramp_m, STEP_M, poses)
-        if count > 0 and _is_free(poses, count, gap_m, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+        if count == 0 or not _is_free(
+            poses, count, gap_m, boxes_m, edges_m, west_m, south_m, columns, rows, first, items
+        ):  # fmt: skip
+            continue
+        if _is_trailed_free(
+            poses, count, trailed_m, hitch_rad, most_hitch_rad, edges_m, west_m, south_m, columns, rows, first, items
+        ):  # fmt: skip
             return count, time[k]
     return 0, np.inf
 
@@ -268,3 +310,23 @@ def _is_free(
             if is_touching(x, y, heading, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
                 return False
     return True
+
+
+@kernel
+def _is_trailed_free(
+    poses: Float64, count: int, trailed_m: Float64, hitch_rad: float, most_hitch_rad: float, edges_m: Float64,
+    west_m: float, south_m: float, columns: int, rows: int, first: Int32, items: Int32,
+) -> bool:  # fmt: skip
+    """Whether a trailed implement, if there is one, is free at all poses and near the line of the last one there."""
+    if len(trailed_m) == 0:
+        return True
+    box, hitch_m, axle_m, yaw, x, y = trailed_m[:, :3], trailed_m[0, 3], trailed_m[0, 4], 0.0, 0.0, 0.0
+    for k in range(count):
+        next_x = poses[k, 0] + hitch_m * math.cos(poses[k, 2])
+        next_y = poses[k, 1] + hitch_m * math.sin(poses[k, 2])
+        yaw = poses[0, 2] + hitch_rad if k == 0 else follow(yaw, next_x - x, next_y - y, axle_m)
+        x, y = next_x, next_y
+        if is_touching(x, y, yaw, box, edges_m, west_m, south_m, columns, rows, first, items):
+            return False
+    turn = yaw - poses[count - 1, 2]
+    return bool(abs(turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)) <= most_hitch_rad)

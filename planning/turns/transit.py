@@ -44,20 +44,22 @@ class Track:
         return Leg(1, self.leg.p_map_m[index], np.unwrap(self.leg.heading_rad[index]), self.leg.curvature_radpm[index])
 
     def joined(
-        self, start: Pose2, run_out_m: float, space: FreeSpace, times: TurnTimes
+        self, start: Pose2, run_out_m: float, hitch_rad: float, space: FreeSpace, times: TurnTimes
     ) -> list[tuple[int, Connection]]:
         """Places with the shortest free turns from a pose onto the pass."""
 
         def request(place: Pose2) -> ConnectionRequest:
-            return ConnectionRequest(start, place, run_out_m, STRAIGHT_M)
+            return ConnectionRequest(start, place, run_out_m, STRAIGHT_M, hitch_rad=hitch_rad)
 
         return self._searched((True, start, run_out_m), request, space, times)
 
-    def left(self, goal: Pose2, line_up_m: float, space: FreeSpace, times: TurnTimes) -> list[tuple[int, Connection]]:
+    def left(
+        self, goal: Pose2, line_up_m: float, most_hitch_rad: float, space: FreeSpace, times: TurnTimes
+    ) -> list[tuple[int, Connection]]:
         """Places with the shortest free turns from the pass to a pose."""
 
         def request(place: Pose2) -> ConnectionRequest:
-            return ConnectionRequest(place, goal, STRAIGHT_M, line_up_m)
+            return ConnectionRequest(place, goal, STRAIGHT_M, line_up_m, most_hitch_rad=most_hitch_rad)
 
         return self._searched((False, goal, line_up_m), request, space, times)
 
@@ -83,17 +85,33 @@ def along_passes(
     """Fastest free connection of those along one pass found by the shortest turns onto it and off it."""
     found: list[tuple[float, int, list[Leg]]] = []
     for track in tracks:
-        ons = track.joined(request.start, request.run_out_m, space, times)
-        offs = track.left(request.goal, request.line_up_m, space, times) if ons else []
+        ons = track.joined(request.start, request.run_out_m, request.hitch_rad, space, times)
+        offs = track.left(request.goal, request.line_up_m, request.most_hitch_rad, space, times) if ons else []
         for (i, on), (j, off) in product(ons, offs):
             part = track.part(track.places[i], track.places[j])
             if part is not None:
                 time = on.time_s + off.time_s + 0.1 * len(part.p_map_m) / times.forward_mps
                 found.append((time, len(found), [*on.legs, part, *off.legs]))
     for time, _, legs in sorted(found, key=lambda f: f[:2]):
-        if all(space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs):
+        if space.trailer is not None:
+            trailed = _trailed(request, space, legs, time)
+            if trailed is not None:
+                return trailed
+        elif all(space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs):
             return Connection(tuple(legs), time)
     return None
+
+
+def _trailed(request: ConnectionRequest, space: FreeSpace, legs: Sequence[Leg], time_s: float) -> Connection | None:
+    """The connection over all legs with a trailed implement, which forgets no bend of one on the next; or None."""
+    p, heading = np.vstack([leg.p_map_m for leg in legs]), np.concatenate([leg.heading_rad for leg in legs])
+    hitch_rad = space.hitch_after(p, heading, request.hitch_rad)
+    is_in_line = abs(hitch_rad) <= request.most_hitch_rad
+    return (
+        Connection(tuple(legs), time_s, hitch_rad)
+        if is_in_line and space.is_free(p, heading, request.hitch_rad)
+        else None
+    )
 
 
 def _near(poses: Sequence[Pose2], place: Pose2) -> list[int]:

@@ -7,21 +7,24 @@ from pathlib import Path
 from messages.errors import HeadlandError
 
 
-def check_drive(arguments: argparse.Namespace) -> None:
+def check_drive(arguments: argparse.Namespace, is_planned_only: bool = False) -> None:
     """Raises HeadlandError for a mission, machine, implement, scenario, field or bay that is missing or invalid.
 
-    Prints what a field file holds beside the field, one line each.
+    Also, unless it `is_planned_only`, for an implement that is not driven. Prints what a field file holds beside the
+    field, one line each.
     """
     notes = check_field(arguments)
     # only now: the imports take 0.5 s, and a wrong field file is reported at once
     from configs.mission import Mission
     from configs.site import Site
     from configs.strict import find, load
-    from configs.vehicle import ImplementFile, Vehicle
+    from configs.vehicle import ImplementFile, TrailedImplement, Vehicle, undriven
 
     mission = load(Mission, find("missions", arguments.mission))
     load(Vehicle, find("machines", arguments.machine or mission.machine))
-    load(ImplementFile, find("implements", arguments.implement or mission.implement))
+    implement = load(ImplementFile, find("implements", arguments.implement or mission.implement)).implement
+    if isinstance(implement, TrailedImplement) and not is_planned_only:
+        raise HeadlandError(undriven(implement))
     if getattr(arguments, "scenario", None) is not None:
         find("scenarios", arguments.scenario)
     if arguments.bay is not None and arguments.field is None:

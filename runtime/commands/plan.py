@@ -13,7 +13,7 @@ def main(arguments: argparse.Namespace) -> int:
 
     Raises FieldError before writing if the field cannot be worked.
     """
-    check_drive(arguments)
+    check_drive(arguments, is_planned_only=True)
     # only now: these imports take seconds, and a wrong argument is reported at once
     from runtime.run_folder import RunFolder, command_of, named_errors, resolved, versions
 
@@ -57,6 +57,11 @@ def main(arguments: argparse.Namespace) -> int:
         gate = "" if setup.site.lanes else ", from a start within the field without a gate"
         sys.stdout.write(
             f"{plan.length_m:.0f} m path, {share:.1f} % of {plan.field_area_m2:.0f} m² planned{gate}: {folder.path}\n"
+        )
+    work = setup.mission.work
+    if work is not None and (passes := plan.rig.headland_passes(work)) > work.headland_passes:
+        sys.stderr.write(
+            f"note: {passes} headland passes instead of {work.headland_passes}: the trailed implement needs a run-in\n"
         )
     least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
     if plan.planned_share >= least:

@@ -2,7 +2,7 @@
 
 from configs.mission import Mission
 from configs.strict import CONFIGS, load
-from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle, undriven
 from messages.errors import ConfigError
 from planning.config import PlanningConfig
 from runtime.coverage.config import CoverageConfig
@@ -15,7 +15,12 @@ def require_coverage(
     mission: Mission, vehicle: Vehicle, implement: MountedImplement | TrailedImplement, planning: PlanningConfig,
     safety: SafetyConfig,
 ) -> None:  # fmt: skip
-    """Raises ConfigError that names place, body height and state if a place is uncovered that a mission can reach."""
+    """Raises ConfigError that names place, body height and state if a place is uncovered that a mission can reach.
+
+    Also for a trailed implement, whose angle is not measured.
+    """
+    if isinstance(implement, TrailedImplement):
+        raise ConfigError(undriven(implement))
     parts = (mission, vehicle, implement, planning, safety)
     key = "".join(part.model_dump_json() for part in parts)
     refusal = _refusals.get(key)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from configs.mission import Mission
-from configs.vehicle import Implement, Vehicle, kmh
+from configs.vehicle import Implement, TrailedImplement, Vehicle, kmh
 from planning.config import PlanningConfig
 
 
@@ -45,6 +45,8 @@ def states_of(
         if any(leg.is_working for leg in line.legs):
             found.append(state("working", line.speed_kmh, is_raised=False))
         found.append(state("raised", line.speed_kmh))
+    if isinstance(implement, TrailedImplement):
+        return tuple(found)  # it does not reverse, and has no bay
     if found:
         found.append(state("reversing", reverse_kmh, direction=-1))
     if mission.bay is not None:

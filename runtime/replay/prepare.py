@@ -16,6 +16,7 @@ from datasets.importers.recording import Recording
 from datasets.reader import LogScan, read_metadata
 from datasets.records import MAGIC
 from datasets.viewer import ViewerConfig
+from geometry.drawbar import Drawbar, Trailer
 from geometry.geodesy import Datum
 from geometry.rectangle import Rectangle
 from localization.lidar.scan_odometry import ScanOdometryConfig
@@ -36,7 +37,7 @@ from runtime.replay.trajectory import is_steady
 from runtime.stack import StackConfig, load_stack, with_detector
 from validation.obstacle_stop.conditions import Conditions
 from validation.obstacle_stop.observation import Setting
-from validation.obstacle_stop.swept_path import Outline, Trailer
+from validation.obstacle_stop.swept_path import Outline
 from validation.obstacle_stop.visibility import View
 
 RADAR_ELEVATION_RAD = (math.radians(-15.0), math.radians(15.0))  # not in the vehicle file
@@ -167,7 +168,7 @@ def outline_of(body: Body, implement: MountedImplement | TrailedImplement | None
     if not isinstance(implement, TrailedImplement):
         return Outline(outlines(body, implement))
     trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
-    return Outline(outlines(body, None), Trailer(trailed, implement.hitch_m, implement.axle_length_m))
+    return Outline(outlines(body, None), Trailer(trailed, Drawbar(implement.hitch_m, implement.axle_length_m)))
 
 
 def views_of(vehicle: Vehicle) -> tuple[View, ...]:

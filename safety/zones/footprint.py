@@ -13,8 +13,10 @@ import numpy as np
 
 from configs.vehicle import FOLDED, MountedImplement, TrailedImplement, Vehicle, outlines
 from geometry.arrays import Float32, Float64
+from geometry.drawbar import Drawbar, hitch_poses, steady_angle
 from geometry.rectangle import Rectangle
 from messages.command import MachineState
+from safety.hitch_angle import angles_between
 
 Floats = Float32 | Float64
 
@@ -61,18 +63,11 @@ def bounding_box(points: Float64) -> Box:
 
 
 @dataclass(frozen=True)
-class Drawbar:
-    """Hitch of a trailed implement along x of base, and distance of its axle behind the hitch."""
-
-    hitch_m: float
-    axle_m: float
-
-
-@dataclass(frozen=True)
 class Footprint:
     """Rectangles rigid to base, and a trailed one with its drawbar.
 
-    `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch.
+    `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch. `hitch_rad` are the
+    bounds of the hitch angle that can be (`safety/hitch_angle.py`); None: that of steady driving on a curvature.
     """
 
     rigid: tuple[Rectangle, ...]
@@ -80,6 +75,7 @@ class Footprint:
     drawbar: Drawbar | None
     height_m: float
     mounted_height_m: float = math.inf
+    hitch_rad: tuple[float, float] | None = None
 
     @property
     def tops_m(self) -> tuple[float, ...]:
@@ -119,12 +115,13 @@ def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplemen
 class FootprintSet:
     """Footprints with the implement in working and in transport width; the same object when it does not fold.
 
-    `pto_stop_s` is the run-down of the implement's PTO.
+    `pto_stop_s` is the run-down of the implement's PTO, `max_hitch_rad` the largest angle of a trailed one.
     """
 
     working: Footprint
     transport: Footprint
     pto_stop_s: float
+    max_hitch_rad: float = 0.0
 
     @property
     def is_foldable(self) -> bool:
@@ -141,7 +138,8 @@ def footprints_of(vehicle: Vehicle, implement: MountedImplement | TrailedImpleme
     working = footprint_of(vehicle, implement)
     transport = working if implement is None else footprint_of(vehicle, implement.folded)
     pto_stop_s = implement.pto_stop_s if implement is not None and implement.uses_pto else 0.0
-    return FootprintSet(working, working if transport == working else transport, pto_stop_s)
+    max_hitch_rad = math.radians(implement.max_hitch_deg) if isinstance(implement, TrailedImplement) else 0.0
+    return FootprintSet(working, working if transport == working else transport, pto_stop_s, max_hitch_rad)
 
 
 def fold_of(machine: MachineState | None, max_group_age_s: float) -> float | None:
@@ -164,34 +162,24 @@ def is_between(fold: float) -> bool:
 
 
 def carriers(footprint: Footprint, poses: Float64, curvature_radpm: float) -> tuple[tuple[Rectangle, Float64], ...]:
-    """Each rectangle with the poses (M, 3) of its carrier, for poses of base (M, 3: x, y, yaw) along a path."""
+    """Each rectangle with the poses (M, 3) of its carrier, for poses of base (M, 3: x, y, yaw) along a path.
+
+    A trailed one once for each of the angles that it may have at the first pose, close to each other.
+    """
     rigid = tuple((body, poses) for body in footprint.rigid)
     if footprint.trailed is None or footprint.drawbar is None:
         return rigid
-    return (*rigid, (footprint.trailed, trailer_poses(footprint.drawbar, poses, curvature_radpm)))
+    angles = _angles(footprint.drawbar, footprint.hitch_rad, curvature_radpm)
+    return (*rigid, *((footprint.trailed, trailer_poses(footprint.drawbar, poses, angle)) for angle in angles))
 
 
-def trailer_poses(drawbar: Drawbar, poses: Float64, curvature_radpm: float) -> Float64:
-    """Poses (M, 3) of the hitch with the implement's heading, for poses of base (tractrix of the drawbar).
-
-    The hitch angle is not measured: its initial value is that of steady driving on the present curvature.
-    """
-    hitch = np.column_stack([
-        poses[:, 0] + drawbar.hitch_m * np.cos(poses[:, 2]), poses[:, 1] + drawbar.hitch_m * np.sin(poses[:, 2])
-    ])  # fmt: skip
-    yaw = np.empty(len(poses))
-    yaw[0] = poses[0, 2] + steady_angle(drawbar, curvature_radpm)
-    for k in range(1, len(poses)):
-        dx, dy = hitch[k] - hitch[k - 1]
-        across = dy * math.cos(yaw[k - 1]) - dx * math.sin(yaw[k - 1])
-        yaw[k] = yaw[k - 1] + across / drawbar.axle_m
-    return np.column_stack([hitch, yaw])
+def trailer_poses(drawbar: Drawbar, poses: Float64, hitch_rad: float) -> Float64:
+    """Poses (M, 3) of the hitch with the implement's heading, for poses of base, from a hitch angle at the first."""
+    return hitch_poses(drawbar, poses[:, :2], poses[:, 2], hitch_rad)
 
 
-def steady_angle(drawbar: Drawbar, curvature_radpm: float) -> float:
-    """Heading of a trailed implement relative to the machine in steady driving on a curvature."""
-    swing = math.atan(curvature_radpm * drawbar.hitch_m)
-    return swing - math.asin(max(-1.0, min(1.0, drawbar.axle_m * curvature_radpm * math.cos(swing))))
+def _angles(drawbar: Drawbar, bounds_rad: tuple[float, float] | None, curvature_radpm: float) -> list[float]:
+    return [steady_angle(drawbar, curvature_radpm)] if bounds_rad is None else angles_between(bounds_rad)
 
 
 def outline(body: Rectangle) -> Float64:
@@ -208,12 +196,16 @@ def is_inside(body: Rectangle, x_m: Floats, y_m: Floats, margin_m: float) -> np.
 
 
 def is_own(xyz: Floats, footprint: Footprint, curvature_radpm: float, margin_m: float) -> np.ndarray:
-    """Whether each point (3, N) in base lies on machine or implement, (N,) bool."""
+    """Whether each point (3, N) in base lies on machine or implement, (N,) bool.
+
+    A trailed one has the middle of the angles that can be: where it has another, its returns count as an obstacle.
+    """
     own = np.zeros(xyz.shape[1], bool)
     for body in footprint.rigid:
         own |= is_inside(body, xyz[0], xyz[1], margin_m)
     if footprint.trailed is not None and footprint.drawbar is not None:
-        x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), curvature_radpm)[0]
+        angles = _angles(footprint.drawbar, footprint.hitch_rad, curvature_radpm)
+        x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), angles[len(angles) // 2])[0]
         c, s, dx, dy = np.cos(yaw), np.sin(yaw), xyz[0] - x, xyz[1] - y
         own |= is_inside(footprint.trailed, c * dx + s * dy, c * dy - s * dx, margin_m)
     return own

@@ -112,8 +112,10 @@ def sweep_along(
     lateral = np.minimum(field.lateral_margin_far_m, field.lateral_margin_near_m + field.lateral_growth * s_m)
     step = float(s_m[1] - s_m[0]) if len(s_m) > 1 else field.step_m
     bodies = carriers(footprint, poses, curvature_radpm)
-    leads = footprint.leads_m(direction) if is_from_foremost else (0.0,) * len(bodies)
+    leads = footprint.leads_m(direction) if is_from_foremost else (0.0,) * len(footprint.tops_m)
     tops = tuple(top_m + field.overhead_margin_m for top_m in footprint.tops_m)
+    more = len(bodies) - len(tops)  # a trailed body counts once for each angle
+    leads, tops = (*leads, *leads[-1:] * more), (*tops, *tops[-1:] * more)
     return SweptArea(direction, s_m, poses, bodies, leads, tops, lateral, step, float(s_m[-1]))
 
 

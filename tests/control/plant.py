@@ -93,12 +93,14 @@ class Plant:
     """Machine, sensors and a supervisor that passes all commands; `run` drives until the path is finished."""
 
     def __init__(
-        self, x=0.0, y=0.0, yaw=0.0, speed=0.0, ground=None, noise=None, actuators=None, seed=1, config=CONFIG
-    ):
+        self, x=0.0, y=0.0, yaw=0.0, speed=0.0, ground=None, noise=None, actuators=None, seed=1, config=CONFIG,
+        implement=IMPLEMENT,
+    ):  # fmt: skip
+        self.implement = implement
         self.ground, self.noise, self.act = ground or Ground(), noise or SensorNoise(), actuators or Actuators()
         self.x, self.y, self.yaw, self.speed = x, y, yaw, speed
         self.rng = np.random.default_rng(seed)
-        self.controller = Controller(VEHICLE, IMPLEMENT, config)
+        self.controller = Controller(VEHICLE, implement, config)
         self.inbox = Inbox()
         self.now_ns = BASE_NS
         self.commands = deque([(0.0, 0.0, 0.0, False)] * round(self.act.bus_s / DT_S))
@@ -162,10 +164,10 @@ class Plant:
         self.speed += (target - self.speed) * DT_S / a.speed_lag_s
         if brake > 0.0:
             self.speed = math.copysign(max(0.0, abs(self.speed) - brake * DT_S), self.speed)
-        step = DT_S / (IMPLEMENT.lower_s if is_lowered else IMPLEMENT.lift_s)
+        step = DT_S / (self.implement.lower_s if is_lowered else self.implement.lift_s)
         self.hitch = max(0.0, self.hitch - step) if is_lowered else min(1.0, self.hitch + step)
-        if abs(self.speed) < 0.01 and self.is_enabled:
-            change = DT_S / IMPLEMENT.fold.duration_s
+        if abs(self.speed) < 0.01 and self.is_enabled and self.implement.folded is not self.implement:
+            change = DT_S / self.implement.fold.duration_s
             self.fold = min(max(self.fold + (change if w.is_implement_folded else -change), 0.0), 1.0)
         self.roll()
 

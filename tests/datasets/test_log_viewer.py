@@ -110,6 +110,9 @@ def test_trailed_implement_behind_hitch(vehicle: Vehicle) -> None:
     box = scenes.implement_scene(7, implement).entities[0].cubes[0]
     assert box.pose.position.x - 5.0 == pytest.approx(-3.5)
     assert box.size.x == 5.0
+    turned = {f.child_frame_id: f for f in scenes.mounts(7, vehicle, implement, 0.5)}["implement"]
+    assert (turned.translation.x, turned.translation.y) == pytest.approx((-1.0 - 4.0 * np.cos(0.5), -4.0 * np.sin(0.5)))
+    assert turned.rotation.z == pytest.approx(np.sin(0.25))
 
 
 def test_thinned_path_keeps_end() -> None:

@@ -19,7 +19,7 @@ from configs.site import DatumConfig
 from hmi.page_state import PageState
 from hmi.plan_view.desk import PlanDesk
 from hmi.plan_view.mission_store import MISSION, PLAN
-from hmi.plan_view.options import choices, default_work, options_of, read_mission
+from hmi.plan_view.options import choices, default_options, default_work, options_of, read_mission
 from hmi.refusal import Refused
 from messages.errors import ConfigError, HeadlandError
 from messages.message import Envelope
@@ -543,3 +543,8 @@ def test_direction_is_a_compass_heading(tmp_path: Path) -> None:
         work = desk.options.mission("x", default_work()).work
         assert work is not None
         assert work.swath_direction_deg == pytest.approx(yaw)
+
+
+def test_a_plan_begins_with_an_implement_that_is_driven() -> None:
+    assert default_options("unknown", "unknown").implement == "harrow_12m"
+    assert default_options("unknown", "disc harrow 3 m").implement == "disc_harrow_3m"

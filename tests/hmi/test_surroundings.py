@@ -2,6 +2,7 @@
 
 import math
 from base64 import b64decode
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from configs.strict import CONFIGS, load
+from configs.vehicle import ImplementFile, TrailedImplement
 from datasets.log import LogWriter
 from datasets.reader import LogScan
 from geometry.arrays import Float64
+from hmi.drive_view.map_view import moving_map
 from hmi.drive_view.surroundings import RANGE_M, camera, image_box, lidar_points, panes, space, stamps, watched
+from hmi.page_state import PageState
 from hmi.texts import texts_of
 from messages.command import Mode
 from messages.errors import LogError
@@ -25,7 +30,7 @@ from runtime.live.serialization import pack
 from runtime.page.live_feed import LiveFeed
 from runtime.page.log_feed import LogFeed
 from runtime.stack import load_stack
-from tests.hmi.drive_messages import NOW_NS, SECOND_NS, demo_scene, odometry, state_of, supervisor
+from tests.hmi.drive_messages import NOW_NS, SECOND_NS, demo_scene, map_pose, odometry, state_of, supervisor
 
 VEHICLE = demo_scene().vehicle
 FRONT = VEHICLE.sensors.camera["front"]
@@ -236,3 +241,29 @@ def test_a_log_that_has_changed_is_refused(log: Path) -> None:
     log.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with pytest.raises(LogError, match="has changed"):
         whole.newest({"lidar/front"}, NOW_NS + SECOND_NS, SECOND_NS)
+
+
+def test_a_trailed_implement_is_shown_where_it_follows_the_driven_path() -> None:
+    implement = load(ImplementFile, CONFIGS / "implements/disc_harrow_3m.yaml").implement
+    assert isinstance(implement, TrailedImplement)
+    state = PageState(replace(demo_scene(), implement=implement), 0.25)
+    angle = np.linspace(0.0, 2.0, 300)  # along a circle with a radius of 8 m
+    poses = [(8.0 * np.sin(a), 8.0 - 8.0 * np.cos(a), a) for a in angle]
+    messages = [("map_pose", map_pose()), *(("odom", odometry(*map(float, pose))) for pose in poses)]
+    state.take(NOW_NS, [Envelope(topic, 0, NOW_NS, message) for topic, message in messages])
+    hitch_radius_m = np.hypot(8.0, implement.hitch_m)
+    steady_rad = -np.arcsin(implement.axle_length_m / hitch_radius_m) + np.arctan(implement.hitch_m / 8.0)
+    assert state.hitch_rad == pytest.approx(steady_rad, abs=0.02)
+    box = space(state, texts_of("en"))["bodies"][1]
+    assert box[6] == pytest.approx(state.hitch_rad, abs=0.006)
+    middle = 0.5 * implement.total_length_m
+    expected = [implement.hitch_m - middle * np.cos(state.hitch_rad), -middle * np.sin(state.hitch_rad)]
+    assert box[:2] == pytest.approx(expected, abs=0.01)
+    outline = np.array(moving_map(state, texts_of("en"))["bodies"][1])
+    x, y, yaw = poses[-1]
+    c, s = np.cos(yaw), np.sin(yaw)
+    assert outline[:4].mean(axis=0) == pytest.approx(
+        [x + c * expected[0] - s * expected[1], y + s * expected[0] + c * expected[1]], abs=0.02
+    )
+    state.take(NOW_NS, [Envelope("odom", 0, NOW_NS, odometry(90.0, 0.0))])
+    assert state.hitch_rad == 0.0  # what was driven in between is unknown

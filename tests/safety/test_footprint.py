@@ -1,6 +1,7 @@
 """Footprints, boxes, self mask and trailed implements."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,16 +16,9 @@ from tests.safety.safety_world import machine_state  # isort: skip
 from itertools import pairwise
 
 from configs.vehicle import TrailedImplement
+from geometry.drawbar import Drawbar, steady_angle
 from geometry.rectangle import Rectangle
-from safety.zones.footprint import (
-    Drawbar,
-    carriers,
-    is_inside,
-    is_own,
-    outline,
-    steady_angle,
-    trailer_poses,
-)
+from safety.zones.footprint import carriers, is_inside, is_own, outline, trailer_poses
 from tests.safety.safety_world import WAGON as NARROW_WAGON
 
 
@@ -175,13 +169,17 @@ def test_steady_angle_saturation(side: int) -> None:
 
 def test_trailer_poses() -> None:
     poses = np.array([[0.0, 0.0, 0.3], [0.5, 0.3, 0.5], [0.8, 0.9, 0.9], [0.7, 1.4, 1.4]])
-    found = trailer_poses(Drawbar(-1.2, 4.0), poses, 0.1)
+    found = trailer_poses(Drawbar(-1.2, 4.0), poses, -0.4)
     hitch = [to_frame(pose, np.array([[-1.2, 0.0]]))[0] for pose in poses]
     assert found[:, :2] == pytest.approx(np.array(hitch))
-    assert found[0, 2] == pytest.approx(0.3 + steady_angle(Drawbar(-1.2, 4.0), 0.1))
+    assert found[0, 2] == pytest.approx(0.3 - 0.4)
     for before, after in pairwise(found):
-        left = np.array([-math.sin(before[2]), math.cos(before[2])])
-        assert after[2] - before[2] == pytest.approx(float((after[:2] - before[:2]) @ left) / 4.0)
+        # the axle rolls along the implement: many small steps of the hitch
+        yaw = before[2]
+        dx, dy = (after[:2] - before[:2]) / 2000.0
+        for _ in range(2000):
+            yaw += (dy * math.cos(yaw) - dx * math.sin(yaw)) / 4.0
+        assert after[2] == pytest.approx(yaw, abs=1e-5)
 
 
 def test_carriers(footprint: Footprint, pulling: Footprint) -> None:
@@ -190,4 +188,9 @@ def test_carriers(footprint: Footprint, pulling: Footprint) -> None:
     (machine, own), (wagon, hitch) = carriers(pulling, poses, 0.1)
     assert (machine, wagon) == (pulling.rigid[0], pulling.trailed)
     assert own is poses
-    assert hitch == pytest.approx(trailer_poses(Drawbar(-1.2, 4.0), poses, 0.1))
+    drawbar = Drawbar(-1.2, 4.0)
+    assert hitch == pytest.approx(trailer_poses(drawbar, poses, steady_angle(drawbar, 0.1)))
+    known = carriers(replace(pulling, hitch_rad=(-0.3, 0.5)), poses, 0.1)[1:]  # one of each angle that can be
+    assert [places[0, 2] for _, places in known] == pytest.approx(np.linspace(-0.3, 0.5, len(known)))
+    assert len(known) == 1 + math.ceil(0.8 / math.radians(4.0))
+    assert all(places == pytest.approx(trailer_poses(drawbar, poses, places[0, 2])) for _, places in known)

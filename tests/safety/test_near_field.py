@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from configs.vehicle import Mount, MountedImplement, Vehicle
+from geometry.drawbar import Drawbar
 from geometry.rectangle import Rectangle
 from messages.sensors import LidarScan
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
 from safety.sources.near_field import NearField, mark_low_obstacles, near_box
 from safety.supervisor_config import SupervisorConfig
-from safety.zones.footprint import Box, Drawbar, Footprint, enclosing, footprints_of
+from safety.zones.footprint import Box, Footprint, enclosing, footprints_of
 from tests.clause import clause
 from tests.safety.safety_world import NO_BYTES, START_NS
 

@@ -10,18 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from configs.vehicle import Vehicle
+from geometry.drawbar import Drawbar, steady_angle
 from geometry.pose2 import to_frame
 from geometry.rectangle import Rectangle
 from safety.config import SafetyConfig
-from safety.zones.footprint import (
-    Drawbar,
-    Footprint,
-    carriers,
-    footprint_of,
-    outline,
-    steady_angle,
-    trailer_poses,
-)
+from safety.zones.footprint import Footprint, carriers, footprint_of, outline, trailer_poses
 from safety.zones.protective_field import box_of, is_at, look_ahead_m, position_on_path, sweep_field
 from safety.zones.swept_area import (
     SweptArea,

@@ -14,19 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.drawbar import Trailer, hitch_poses
 from geometry.polyline import arc_length
 from geometry.rectangle import Rectangle
 
 STEP_M = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Trailer:
-    """Implement on a drawbar: its rectangle in the frame of the hitch, at `hitch_m` along x of base."""
-
-    body: Rectangle
-    hitch_m: float
-    axle_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +141,8 @@ def _body(body: Rectangle, carrier: Float64) -> Body:
 
 
 def _hitch_poses(trailer: Trailer, poses: Float64, is_forward: bool) -> Float64:
-    hitch = poses[:, :2] + trailer.hitch_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    yaw = poses[:, 2].copy()
-    if is_forward:
-        for k in range(1, len(yaw)):
-            dx, dy = hitch[k] - hitch[k - 1]
-            yaw[k] = yaw[k - 1] + (dy * math.cos(yaw[k - 1]) - dx * math.sin(yaw[k - 1])) / trailer.axle_m
-    return np.column_stack([hitch, yaw])
+    found = hitch_poses(trailer.drawbar, poses[:, :2], poses[:, 2])
+    return found if is_forward else np.column_stack([found[:, :2], poses[:, 2]])
 
 
 def arc(pose: Float64, curvature_radpm: float, distances_m: Float64) -> Float64:

@@ -34,3 +34,9 @@ def test_machine_without_one_of_its_near_lidars_may_not(gone: str, state: str) -
     for _ in range(2):  # the second answer is kept from the first
         with pytest.raises(ConfigError, match=rf"covers the place .* m high while {state}"):
             require_coverage(setup.mission, vehicle, setup.implement, setup.stack.planning, setup.stack.safety)
+
+
+def test_a_trailed_implement_is_not_driven() -> None:
+    setup = load_setup("line", None, "disc_harrow_3m", None, 1)
+    with pytest.raises(ConfigError, match=r"'disc harrow 3 m' is trailed: it is planned .*, not driven"):
+        require_coverage(setup.mission, setup.vehicle, setup.implement, setup.stack.planning, setup.stack.safety)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from geometry.drawbar import Trailer
 from geometry.pose2 import from_frame
 from geometry.rectangle import Rectangle
 from geometry.transforms import planar
@@ -19,7 +20,7 @@ from validation.obstacle_stop.conditions import Conditions, load_conditions
 from validation.obstacle_stop.encounters import Encounter, find_encounters
 from validation.obstacle_stop.observation import LogObservation, Setting
 from validation.obstacle_stop.observer import Observer
-from validation.obstacle_stop.swept_path import Outline, Trailer
+from validation.obstacle_stop.swept_path import Outline
 from validation.obstacle_stop.visibility import View
 
 START_NS = 1_700_000_000_000_000_000

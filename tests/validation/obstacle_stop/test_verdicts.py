@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geometry.drawbar import Drawbar, Trailer
 from geometry.rectangle import Rectangle
 from messages.truth import Occlusion
 from tests.validation.obstacle_stop.scripted import (
@@ -26,7 +27,6 @@ from validation.obstacle_stop.encounters import Encounter
 from validation.obstacle_stop.evaluation import evaluate_log
 from validation.obstacle_stop.stopping import stopping_distance_m
 from validation.obstacle_stop.stops import false_stop_scans, find_stops
-from validation.obstacle_stop.swept_path import Trailer
 from validation.obstacle_stop.totals import aggregate
 
 BRAKING = CONDITIONS.braking
@@ -163,7 +163,9 @@ def test_wing_of_an_implement_and_a_trailer_that_cuts_the_corner() -> None:
 
     inside = Thing(1, lambda t: (8.0 * math.sin(1.2) * 0.8, 8.0 - 8.0 * math.cos(1.2) * 0.8), (0.2, 0.2, 1.8))
     assert judge(Script(bend, [inside], seconds=8.0)) == []
-    trailer = replace(with_implement(Rectangle(-1.0, 0.0, 1.0)), trailer=Trailer(Rectangle(-6.0, 0.0, 1.8), -1.0, 5.0))
+    trailer = replace(
+        with_implement(Rectangle(-1.0, 0.0, 1.0)), trailer=Trailer(Rectangle(-6.0, 0.0, 1.8), Drawbar(-1.0, 5.0))
+    )
     assert one(Script(bend, [inside], seconds=8.0, working=trailer)).has_contact
 
 
