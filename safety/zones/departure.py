@@ -2,7 +2,7 @@
 
 A person who stops the machine and walks away is followed from scan to scan by returns alone. One who is no longer seen
 without having left may lie before the machine, or have entered a zone that no sensor covers. Returns that vanish within
-less than `seen_s` are no body: dust, a bird, single plants.
+less than `seen_s`, right before the machine `seen_near_s`, are no body: dust, a bird, single plants.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ class Departure:
     def __init__(self, config: DepartureConfig) -> None:
         self._config = config
         self._last_seen_odom_m: Float64 = NOWHERE
-        self._span_ns = (0, 0)
+        self._span_ns, self._is_near = (0, 0), False
 
     @property
     def is_unresolved(self) -> bool:
@@ -31,7 +31,7 @@ class Departure:
 
     @property
     def _seen_ns(self) -> int:
-        return round(self._config.seen_s * 1e9)
+        return round((self._config.seen_near_s if self._is_near else self._config.seen_s) * 1e9)
 
     def forget(self) -> None:
         """An operator has confirmed that nobody is near the machine."""
@@ -39,22 +39,25 @@ class Departure:
 
     def update(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
         """Takes the present hits (N, 2), for base at `pose_odom` (3,)."""
-        blocking = hits_odom_m[self._is_within(hits_odom_m, area, pose_odom, 0.0)]
+        distance_m = self._distance_m(hits_odom_m, area, pose_odom, 0.0)
+        blocking = hits_odom_m[distance_m <= self._config.ahead_m]
         if len(blocking):
             first_ns, last_ns = self._span_ns
             is_new = not self.is_unresolved and now_ns - last_ns > self._seen_ns
             self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
+            self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
         elif self.is_unresolved:
             followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
             if len(followed):
                 self._last_seen_odom_m = followed
-            if not self._is_within(self._last_seen_odom_m, area, pose_odom, self._config.away_m).any():
+            gap_m = self._distance_m(self._last_seen_odom_m, area, pose_odom, self._config.away_m)
+            if not (gap_m <= self._config.ahead_m).any():
                 self._last_seen_odom_m = NOWHERE
 
-    def _is_within(self, points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> np.ndarray:
-        """Whether each point (N, 2) lies in the near part of the area widened by `aside_m` on each side, (N,) bool."""
-        distance_m = distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
-        return np.asarray(distance_m <= self._config.ahead_m)
+    @staticmethod
+    def _distance_m(points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> Float64:
+        """Distance to each point (N, 2) along the area widened by `aside_m` on each side, (N,), infinite beside it."""
+        return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
 
 
 def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
