@@ -48,15 +48,14 @@ def test_nothing_blocked(departure: Clocked, area: SweptArea) -> None:
     assert not departure.is_unresolved
 
 
-@pytest.mark.parametrize(("ahead_m", "scans", "is_unresolved"), [
-    (0.3, 1, False), (0.3, 3, True), (0.9, 3, True), (1.7, 3, False), (1.7, 4, True),
+@pytest.mark.parametrize(("x", "y", "scans", "is_unresolved"), [
+    (-0.8, 2.7, 1, False), (-0.8, 2.7, 3, True), (4.3, 0.0, 3, True), (4.8, 0.0, 3, False), (4.8, 0.0, 4, True),
 ])  # fmt: skip
 def test_what_is_seen_for_a_moment_right_before_the_machine_has_not_left(
-    departure: Clocked, area: SweptArea, ahead_m: float, scans: int, is_unresolved: bool
+    departure: Clocked, area: SweptArea, x: float, y: float, scans: int, is_unresolved: bool
 ) -> None:
-    wing_m = max(poses[0, 0] + body.front_m for body, poses in area.bodies[1:])
-    place = hits((wing_m + ahead_m, 2.7))
-    departure.see(place, area, scans=scans)
+    """The front of the machine is at x = 3.5 m, that of the wings at -1.1 m: all before them is as near as they are."""
+    departure.see(hits((x, y)), area, scans=scans)
     departure.see(hits(), area, scans=5)
     assert departure.is_unresolved == is_unresolved
 
