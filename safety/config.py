@@ -157,7 +157,7 @@ class DepartureConfig(Config):
     """Following what blocked the path until it has left."""
 
     seen_s: Seconds = Field(description="time for which an object must have been seen to be followed")
-    near_m: Metres = Field(description="distance before the machine within which `seen_near_s` is enough")
+    near_m: Metres = Field(description="distance before the foremost point within which `seen_near_s` is enough")
     seen_near_s: Seconds
     ahead_m: Metres = Field(description="part of the swept area in which an object counts as blocking")
     follow_m: Metres = Field(description="greatest movement of a person or animal from one scan to the next")
