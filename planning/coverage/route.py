@@ -21,10 +21,10 @@ from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass, pass_coverage
 from planning.coverage.insertion import Tour, inserted
-from planning.coverage.interior import fill_bare
+from planning.coverage.interior import AnySwath, fill_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, turn_pieces
-from planning.coverage.swath import Swath, directions_of
+from planning.coverage.swath import directions_of
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
@@ -42,7 +42,7 @@ class Region:
     """What the rig works without folding: connections, with the headland passes, and swaths."""
 
     connector: PathConnector
-    swaths: Sequence[Swath]
+    swaths: Sequence[AnySwath]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Route:
     """All pieces in order, with the swaths and headland passes that they work."""
 
     pieces: list[RoutePiece]
-    swaths: list[Swath]
+    swaths: list[AnySwath]
     headland_passes: list[HeadlandPass]
 
 
@@ -99,7 +99,7 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
             tour, number = filled.tour, filled.number
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
-    swaths = [s for s in sources if isinstance(s, Swath)]
+    swaths = [s for s in sources if isinstance(s, AnySwath)]
     return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
 
 
@@ -112,7 +112,7 @@ class _Filled:
     tour: Tour
     number: int
 
-    def insert(self, swaths: Sequence[Swath], most_s: float) -> bool:
+    def insert(self, swaths: Sequence[AnySwath], most_s: float) -> bool:
         """Puts swaths into the tour to which turns are found that take at most some time; returns whether any."""
         numbered = [replace(s, number=self.number + k) for k, s in enumerate(swaths)]
         lines = lines_of(numbered, (), -self.connector.rig.working_x_m)
@@ -150,7 +150,7 @@ def _room(connector: PathConnector) -> Pose2 | None:
     return next((p for p in poses if connector.space.is_free(np.array([p[:2]]), np.array([p.yaw_rad]))), None)
 
 
-def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:
+def _lines(connector: PathConnector, swaths: Sequence[AnySwath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:
     """Swaths, open passes, and those of the closed passes that were not reached before."""
     passes, lead_m = [p for p in connector.headland_passes if not p.is_closed], -connector.rig.working_x_m
     lines = lines_of(swaths, passes, lead_m)
