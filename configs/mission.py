@@ -13,6 +13,11 @@ class Work(Config):
     """Field work."""
 
     headland_passes: int = Field(ge=1, le=10)
+    headland: Literal["first", "last", "none"] = Field(
+        default="first",
+        description="headland passes before or after the swaths; none: no passes, swaths to the edge with "
+        "`turns: reverse`, else up to where the passes would be",
+    )
     swath_direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
     swath_through_m: Annotated[
         tuple[Coordinate, Coordinate] | None,

@@ -140,7 +140,8 @@ def plan_field(
     rig, folded = (rig_of(vehicle, i, work, config) for i in (implement, implement.folded))
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     areas = regions_of(drivable, rig.width_m, folded.width_m)
-    passes = [headland_passes_of(area, rig, work.headland_passes, work.overlap_m) for area in areas]
+    count = 0 if work.headland == "none" and rig.has_reverse else work.headland_passes
+    passes = [headland_passes_of(area, rig, count, work.overlap_m) for area in areas]
     report("swaths")
     space, transport = (FreeSpace(drivable.allowed, r.bodies, r.radius_m, r.config.smoothing_m) for r in (rig, folded))
     regions = list[Region]()
