@@ -13,13 +13,26 @@ class Work(Config):
     """Field work."""
 
     headland_passes: int = Field(ge=1, le=10)
+    headland: Literal["first", "last", "none"] = Field(
+        default="first",
+        description="headland passes before or after the swaths; none: no passes, swaths to the edge with "
+        "`turns: reverse`, else up to where the passes would be",
+    )
     swath_direction_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
     swath_through_m: Annotated[
         tuple[Coordinate, Coordinate] | None,
         Field(description="point in `map`: swaths lie at whole spacings from the line through it, in that direction"),
     ] = None
     guidance: str | None = Field(
-        default=None, description="name or number of an AB or A+ line of the field file: sets direction and point"
+        default=None,
+        description="name or number of a line of the field file, to which swaths are parallel: sets direction and "
+        "point, or curve or circle",
+    )
+    swath_curve_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100_000)] = Field(
+        default=(), description="points in `map` of an adaptive curve: swaths lie at whole spacings from it"
+    )
+    swath_circle_m: tuple[Coordinate, Coordinate, Annotated[float, Field(gt=0.0, le=5000.0)]] | None = Field(
+        default=None, description="centre in `map` and radius of a circle: swaths lie at whole spacings from it"
     )
     no_go_m: tuple[Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=500)], ...] = (
         Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
@@ -46,6 +59,11 @@ class Work(Config):
             raise ValueError("swath_through_m: needs swath_direction_deg")
         if self.lane_m and (len(self.lane_m) < 2 or self.gate_m is not None):
             raise ValueError("lane_m: has two points at least, and no gate_m: the gate is where it leaves the field")
+        lines = [self.swath_direction_deg is not None, bool(self.swath_curve_m), self.swath_circle_m is not None]
+        if sum(lines) > 1:
+            raise ValueError("swath_direction_deg, swath_curve_m, swath_circle_m: give one of them")
+        if len(self.swath_curve_m) == 1:
+            raise ValueError("swath_curve_m: has two points at least")
         if self.guidance is not None and self.swath_direction_deg is not None and self.swath_through_m is None:
             raise ValueError("guidance: gives the direction; leave out swath_direction_deg")
         return self

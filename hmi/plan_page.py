@@ -108,7 +108,7 @@ class PlanPage(View):
                 await desk.close_drawing(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
             case "feature":
                 await desk.choose(value)
-            case "machine" | "implement" | "headland_passes" | "turns" | "heading_deg" | "vegetation_cm":
+            case "machine" | "implement" | "headland_passes" | "headland" | "turns" | "heading_deg" | "vegetation_cm":
                 desk.set_option(action, value, self.session.name)
             case "plan":
                 await desk.make_plan()
@@ -182,6 +182,7 @@ class PlanPage(View):
             "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
             "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
             "implement": (options.implement, [[n, n] for n in choices()["implement"]]),
+            "headland": (options.headland, [[n, self.texts(f"headland.{n}")] for n in choices()["headland"]]),
             "turns": (options.turns, [[n, self.texts(f"turns.{n}")] for n in choices()["turns"]]),
             "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
             "vegetation_cm": (height, heights),
@@ -289,7 +290,7 @@ class PlanPage(View):
         return self.card("field", f"{upload}{note}{select}{pairs}")
 
     def _options_card(self) -> str:
-        names = ("machine", "implement", "headland_passes", "turns", "heading_deg", "guidance")
+        names = ("machine", "implement", "headland_passes", "headland", "turns", "heading_deg", "guidance")
         selects = "".join(self.select(name, f"plan.{name}") for name in names)
         heading = '<input id="a_plus_deg" inputmode="decimal" maxlength="20" autocomplete="off">'
         label = f"<label>{escape(self.texts('plan.a_plus_deg'))}{heading}</label>"

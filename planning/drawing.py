@@ -12,14 +12,17 @@ from geometry.footprint import footprints
 from geometry.polygon import parts
 from messages.plan import PathSectionType
 from planning.docking.dock import Docking
-from planning.plan import EDGE_MARGIN, NARROW_PART, NARROW_PASSAGE, TIGHT_CORNER, Plan
+from planning.plan import EDGE_MARGIN, GUIDANCE_BEND, NARROW_PART, NARROW_PASSAGE, TIGHT_CORNER, Plan
 
 COLOURS = {
     PathSectionType.LANE: "#404040", PathSectionType.HEADLAND: "#1f5fa8", PathSectionType.SWATH: "#1a7f37",
     PathSectionType.TURN: "#d9822b", PathSectionType.DETOUR: "#8a2be2",
     PathSectionType.DOCK: "#8a2be2",
 }  # fmt: skip
-UNCOVERED = {EDGE_MARGIN: "#f4c7c3", TIGHT_CORNER: "#d62728", NARROW_PART: "#e377c2", NARROW_PASSAGE: "#8c564b"}
+UNCOVERED = {
+    EDGE_MARGIN: "#f4c7c3", TIGHT_CORNER: "#d62728", GUIDANCE_BEND: "#ff9896", NARROW_PART: "#e377c2",
+    NARROW_PASSAGE: "#8c564b",
+}  # fmt: skip
 
 
 def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:

@@ -17,12 +17,12 @@ from geometry.polygon import grow, open_by, parts, place_of, shrink
 from messages.errors import FieldError
 from messages.plan import Path
 from planning.config import PlannerConfig, PlanningConfig
-from planning.coverage.headland import HeadlandPass, headland_passes_of
-from planning.coverage.interior import swaths_inside
+from planning.coverage.headland import HeadlandPass, headland_passes_of, pass_coverage
+from planning.coverage.interior import AnySwath, area_worked, swaths_inside
 from planning.coverage.route import Region, route
-from planning.coverage.swath import Swath
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.field.drivable_area import DrivableArea, describe, drivable_area_of, regions_of
+from planning.guidance.line import curved_line_of
 from planning.line import line_paths
 from planning.path import paths_of
 from planning.rig import Rig, rig_of
@@ -33,6 +33,7 @@ MIN_UNCOVERED_M2 = 0.25
 Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
 NARROW_PART = "narrower than the rig"
+GUIDANCE_BEND = "beside a bend of the guidance line too tight for the rig"
 NARROW_PASSAGE = "behind a passage narrower than the rig"
 NARROW_SLACK_M = 0.05
 NARROW_SQUARES = 0.25  # of the squared width: smaller parts that no disc as wide as the rig reaches are corners
@@ -66,7 +67,7 @@ class Plan:
     planned_share: float
     length_m: float
     uncovered: tuple[Uncovered, ...]
-    swaths: tuple[Swath, ...]
+    swaths: tuple[AnySwath, ...]
     headland_passes: tuple[HeadlandPass, ...]
     drivable: DrivableArea
     rig: Rig
@@ -150,8 +151,11 @@ def plan_field(
     drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
     areas = regions_of(drivable, rig.width_m, folded.width_m)
     if rig.trailer is not None:
+        if curved_line_of(work) is not None or work.headland == "none":
+            raise FieldError(f"implement {implement.name!r} is trailed: straight swaths with headland passes only")
         areas = areas[:1]  # it does not fold, and is in line only after a long straight
-    passes = [headland_passes_of(area, rig, rig.headland_passes(work), work.overlap_m) for area in areas]
+    count = 0 if work.headland == "none" and rig.has_reverse else rig.headland_passes(work)
+    passes = [headland_passes_of(area, rig, count, work.overlap_m) for area in areas]
     report("swaths")
     space, transport = (r.space(drivable.allowed) for r in (rig, folded))
     on_lines = rig.space(drivable.allowed, rig.askew_m)
@@ -175,7 +179,8 @@ def plan_field(
     paths = paths_of(found.pieces, rig, 1)
     check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m))
     area = worked_area(paths, rig).intersection(drivable.free)
-    uncovered = _uncovered(drivable, areas, area, rig)
+    bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
+    uncovered = _uncovered(drivable, areas, area, rig, bends)
     size_m2 = drivable.free.area
     return Plan(
         paths, area, size_m2, area.area / size_m2, _length_m(paths), uncovered, tuple(found.swaths),
@@ -248,9 +253,12 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
 
 
 def _uncovered(
-    complete: DrivableArea, regions: Sequence[DrivableArea], area: BaseGeometry, rig: Rig
+    complete: DrivableArea, regions: Sequence[DrivableArea], area: BaseGeometry, rig: Rig, bends: BaseGeometry
 ) -> tuple[Uncovered, ...]:
-    """What of the complete area is not worked; of regions without work all counts as behind a narrow passage."""
+    """What of the complete area is not worked; of regions without work all counts as behind a narrow passage.
+
+    `bends` is what no drivable line beside a curved guidance line works.
+    """
     free = shapely.union_all([r.free for r in regions if r is regions[0] or r.free.intersects(area)])
     rim = free.difference(shrink(free, complete.margin_m + rig.width_m - rig.working_width_m + 0.1))
     missed = free.difference(area)
@@ -258,12 +266,23 @@ def _uncovered(
     elsewhere = missed.difference(narrow)
     shapes = {
         EDGE_MARGIN: elsewhere.intersection(rim),
-        TIGHT_CORNER: elsewhere.difference(rim),
+        GUIDANCE_BEND: elsewhere.difference(rim).intersection(bends),
+        TIGHT_CORNER: elsewhere.difference(rim).difference(bends),
         NARROW_PART: missed.intersection(narrow),
         NARROW_PASSAGE: complete.free.difference(free).difference(area),
     }
     found = [(reason, p) for reason, shape in shapes.items() for p in parts(shape, MIN_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)
+
+
+def _beside_bends(regions: Sequence[Region], passes: Sequence[Sequence[HeadlandPass]], rig: Rig) -> BaseGeometry:
+    """What swaths along a curve leave bare between them, also those that are not reached; not at their ends."""
+    found = []
+    for region, around in zip(regions, passes, strict=True):
+        worked_by_passes = shapely.union_all([pass_coverage(p, rig) for p in around])
+        inside = shrink(region.connector.drivable.free.difference(worked_by_passes), 0.5 * rig.working_width_m)
+        found.append(inside.difference(shapely.union_all([area_worked(s, rig) for s in region.swaths])))
+    return shapely.union_all(found)
 
 
 def narrow_parts(free: BaseGeometry, margin_m: float, width_m: float) -> BaseGeometry:

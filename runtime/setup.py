@@ -19,7 +19,7 @@ from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
 from planning.field.field import FieldOutline, read_field, with_no_go
 from planning.field.site_generation import site_of, site_of_original
-from planning.guidance.recorded import choose_line, straight_in_map
+from planning.guidance.recorded import choose_line, work_along
 from planning.plan import Plan, Report, check_within, ignore, plan_mission
 from runtime.machine_setup import with_corrections
 from runtime.stack import StackConfig, load_stack, with_detector, with_order_key
@@ -193,9 +193,8 @@ def _with_guidance(mission: Mission, outline: FieldOutline | None, guidance: str
         return mission
     if outline is None:
         raise ConfigError(f"guidance {guidance!r}: is a line of a field file; give the file by --field")
-    line = straight_in_map(choose_line(outline.lines, guidance), outline.datum.datum)
-    direction = {"swath_direction_deg": math.degrees(line.heading_rad), "swath_through_m": line.a_m}
-    return mission.model_copy(update={"work": work.model_copy(update=direction | {"guidance": guidance})})
+    along = work_along(work, choose_line(outline.lines, guidance), outline.datum.datum)
+    return mission.model_copy(update={"work": along.model_copy(update={"guidance": guidance})})
 
 
 def _site(

@@ -28,7 +28,7 @@ MAX_AT_M = 20_000.0  # from the origin of the map
 
 @dataclass(frozen=True)
 class FileLine:
-    """A straight guidance line of the field file: its number and name, and two points in `map`."""
+    """A guidance line of the field file: its number and name, and points in `map`."""
 
     number: str
     name: str
@@ -150,7 +150,7 @@ class PlanDesk:
 
     @property
     def guide(self) -> list[Point] | None:
-        """Two points in `map`, far outside of the field, on the guidance line of the swaths; None without one."""
+        """Points in `map` of the guidance line of the swaths, a straight one to far outside; None without one."""
         options = self.options
         if options.through_m is not None and options.heading_deg is not None:
             (x_m, y_m), angle = options.through_m, math.radians(options.heading_deg)

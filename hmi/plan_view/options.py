@@ -1,4 +1,4 @@
-"""Choices of a plan: machine, implement, headland passes, turns, direction and consent, as a mission file."""
+"""Choices of a plan: machine, implement, headland, turns, direction and consent, as a mission file."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,6 +16,8 @@ from messages.errors import ConfigError
 MAX_PASSES = 10
 HEIGHTS_CM = (10, 15, 20, 25, 30, 35)  # of plants, for which consent can be given
 Turns = Literal["forward", "reverse"]
+Headland = Literal["first", "last", "none"]
+HEADLAND: tuple[Headland, ...] = ("first", "last", "none")
 TURNS: tuple[Turns, ...] = ("forward", "reverse")
 AUTO = ""  # the planner finds the direction
 
@@ -37,6 +39,7 @@ class PlanOptions:
     through_m: tuple[float, float] | None = None
     guidance: str | None = None
     consent: Consent | None = None
+    headland: Headland = "first"
 
     def changed(self, name: str, value: str, by: str) -> "PlanOptions":
         """Options with one changed, by a person; raises ConfigError that names the value."""
@@ -70,8 +73,8 @@ class PlanOptions:
         """Mission with these choices; speeds, overlap and margin are those of `work`."""
         direction = None if self.heading_deg is None else _to_yaw(self.heading_deg)
         changes = {
-            "headland_passes": self.headland_passes, "turns": self.turns, "swath_direction_deg": direction,
-            "swath_through_m": self.through_m, "guidance": self.guidance,
+            "headland_passes": self.headland_passes, "headland": self.headland, "turns": self.turns,
+            "swath_direction_deg": direction, "swath_through_m": self.through_m, "guidance": self.guidance,
         }  # fmt: skip
         return Mission(
             name=name, site="field", machine=self.machine, implement=self.implement,
@@ -85,7 +88,7 @@ def options_of(mission: Mission, work: Work) -> PlanOptions:
     heading = None if yaw is None else round((90.0 - yaw) % 360.0, 3)
     return PlanOptions(
         mission.machine, mission.implement, work.headland_passes, work.turns, heading, work.swath_through_m,
-        work.guidance, mission.consent,
+        work.guidance, mission.consent, work.headland,
     )  # fmt: skip
 
 
@@ -93,7 +96,7 @@ def options_of(mission: Mission, work: Work) -> PlanOptions:
 def choices() -> dict[str, tuple[str, ...]]:
     """Values of each option that is one of several names; machines and implements are files of `configs/`."""
     names = {one: tuple(sorted(path.stem for path in (CONFIGS / f"{one}s").glob("*.yaml"))) for one in _FOLDERS}
-    return names | {"turns": TURNS}
+    return names | {"turns": TURNS, "headland": HEADLAND}
 
 
 _FOLDERS = ("machine", "implement")
@@ -127,7 +130,7 @@ def default_options(vehicle_name: str, implement_name: str) -> PlanOptions:
     driven = next(stem for stem, file in files.items() if isinstance(file.implement, MountedImplement))
     return PlanOptions(
         machines.get(vehicle_name, known["machine"][0]), implements.get(implement_name, driven),
-        work.headland_passes, work.turns,
+        work.headland_passes, work.turns, headland=work.headland,
     )  # fmt: skip
 
 

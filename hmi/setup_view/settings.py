@@ -9,7 +9,7 @@ from messages.errors import ConfigError
 SECTIONS = ("vehicle", "implement", "corrections", "work")
 MOUNTS = "mounts"
 HIDDEN = (
-    "work.headland_passes",
+    "work.headland",
     "work.turns",
     ".solids.",
     ".kind",

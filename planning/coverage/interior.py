@@ -9,17 +9,19 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
-from geometry.footprint import corners_of, worked
 from geometry.polygon import open_by, parts, polygon_of, shrink
 from planning.coverage.blocks import blocks_of
+from planning.coverage.curved_swath import CurvedSwath, area_of, curved_swaths_over
 from planning.coverage.headland import HeadlandPass, pass_coverage
 from planning.coverage.remains import strip_of, swaths_over_remains, worth_of
 from planning.coverage.swath import Swath, strips_of, swaths_on
 from planning.field.drivable_area import DrivableArea
+from planning.guidance.line import curved_line_of
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import Leg
 
+AnySwath = Swath | CurvedSwath
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
 WIDE = 0.6  # of the working width: parts as wide get evenly spaced swaths
 GROWN_M = 0.05
@@ -28,7 +30,7 @@ REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
 
 def swaths_inside(
     drivable: DrivableArea, rig: Rig, passes: Sequence[HeadlandPass], work: Work, space: FreeSpace
-) -> list[Swath]:
+) -> list[AnySwath]:
     """Swaths over all that the passes leave bare, numbered; `space` is the free space of the rig."""
     bare = _workable(drivable, rig)
     if passes:
@@ -39,28 +41,26 @@ def swaths_inside(
 
 def fill_bare(
     drivable: DrivableArea, rig: Rig, work: Work, space: FreeSpace, around: BaseGeometry, legs: Sequence[Leg],
-    insert: Callable[[Sequence[Swath], float], bool],
+    insert: Callable[[Sequence[AnySwath], float], bool],
 ) -> None:  # fmt: skip
     """Inserts swaths over what passes, which work the area `around`, and `legs` of lines leave bare into a tour.
 
     `insert` returns whether it took any of some swaths, for at most a time of ways to them.
     """
-    covered = shapely.union_all([around, *(_strip(leg, rig) for leg in legs)])
+    covered = shapely.union_all([around, *(area_of(leg, rig) for leg in legs)])
     left = _workable(drivable, rig).difference(covered)
     found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), rig, work, space)
     insert(found, math.inf)
-    strips = shapely.union_all([strip_of(s, rig.working_width_m) for s in found])
+    strips = shapely.union_all([area_worked(s, rig) for s in found])
     share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
     remains = open_by(left.difference(strips), REMAINS_M / 2.0)
     worth = worth_of(rig, share < rig.config.small_remains_share)
     swaths_over_remains(remains, rig, space, worth, lambda swath, most_s: insert([swath], most_s))
 
 
-def _strip(leg: Leg, rig: Rig) -> BaseGeometry:
-    """Area worked over a leg."""
-    keep = corners_of(np.unwrap(leg.heading_rad))
-    p, heading = rig.carriers(leg.p_map_m, leg.heading_rad)
-    return worked(*rig.working_edges(p[keep], heading[keep]))
+def area_worked(swath: AnySwath, rig: Rig) -> BaseGeometry:
+    """Area worked by a swath in its longer direction."""
+    return swath.area(rig) if isinstance(swath, CurvedSwath) else strip_of(swath, rig.working_width_m)
 
 
 def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
@@ -68,12 +68,16 @@ def _workable(drivable: DrivableArea, rig: Rig) -> BaseGeometry:
     return shrink(drivable.free, drivable.margin_m + rig.width_m / 2.0 - rig.working_width_m / 2.0)
 
 
-def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> list[Swath]:
-    """Swaths over an area, in the direction of the mission or the cheapest of each part."""
+def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> list[AnySwath]:
+    """Swaths over an area: along the curve of the mission, in its direction, or the cheapest of each part."""
     area = polygon_of(open_by(bare, SLIVER_M / 2.0))
+    curved = curved_line_of(work)
+    if curved is not None:
+        wide = polygon_of(shapely.union_all(parts(area, worth_of(rig, False).least_m2)))
+        return [*curved_swaths_over(wide, curved, rig, work.overlap_m, space)]
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
     min_m = rig.min_swath_m
-    found = []
+    found = list[AnySwath]()
     for part in parts(area, worth_of(rig, False).least_m2):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
             grown = block.buffer(GROWN_M, join_style="mitre")

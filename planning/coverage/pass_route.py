@@ -1,5 +1,6 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -192,6 +193,13 @@ def _by_time(connector: PathConnector, last: _Entry, entries: list[_Entry]) -> l
 def turn_pieces(connection: Connection, line: int) -> list[RoutePiece]:
     """A connection as pieces."""
     return [RoutePiece(PathSectionType.TURN, line, leg, False) for leg in connection.legs]
+
+
+def places_on(ring: HeadlandPass, radius_m: float, near: Pose2) -> list[Pose2]:
+    """Poses where the drive over a closed pass may begin, a quarter of them apart, the first nearest to a place."""
+    poses = [entry.start for entry in _entries(ring, radius_m)]
+    first = min(range(len(poses)), key=lambda k: math.hypot(poses[k].x_m - near.x_m, poses[k].y_m - near.y_m))
+    return [poses[(first + round(share * len(poses))) % len(poses)] for share in (0.0, 0.25, 0.5, 0.75)]
 
 
 def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:

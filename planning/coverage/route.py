@@ -21,10 +21,10 @@ from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass, pass_coverage
 from planning.coverage.insertion import Tour, inserted
-from planning.coverage.interior import fill_bare
+from planning.coverage.interior import AnySwath, fill_bare
 from planning.coverage.line_route import drive_lines
-from planning.coverage.pass_route import drive_passes, opened, turn_pieces
-from planning.coverage.swath import Swath, directions_of
+from planning.coverage.pass_route import drive_passes, opened, places_on, turn_pieces
+from planning.coverage.swath import directions_of
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
@@ -34,6 +34,7 @@ from planning.turns.transport import TransportWays
 
 CENTRE_ERROR_M = 0.1
 LEAST_RADIUS_SHARE = 0.95  # of the radius of the rig, in corners of a lane: a fillet in steps is 1 % sharper
+PLACES = 4  # of a headland pass to which the swaths before it may lead
 FILLINGS = 3  # times that what a tour leaves bare gets swaths, at most
 
 
@@ -42,7 +43,7 @@ class Region:
     """What the rig works without folding: connections, with the headland passes, and swaths."""
 
     connector: PathConnector
-    swaths: Sequence[Swath]
+    swaths: Sequence[AnySwath]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Route:
     """All pieces in order, with the swaths and headland passes that they work."""
 
     pieces: list[RoutePiece]
-    swaths: list[Swath]
+    swaths: list[AnySwath]
     headland_passes: list[HeadlandPass]
 
 
@@ -80,14 +81,64 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
 
 
 def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
-    """Tour of a region after its passes, and all its pieces; further swaths are numbered from `number`."""
+    """Tour of a region after its passes, or what is driven after them, and all pieces.
+
+    Further swaths are numbered from `number`. Without headland work the passes are only ways along the edge.
+    """
     connector = region.connector
+    if work.headland == "last":
+        return _worked_last(region, start, home, work, number)
+    if work.headland == "none":
+        tour = drive_lines(connector, start, home, lines_of(region.swaths, (), -connector.rig.working_x_m))
+        return _filled_route(connector, home, tour, work, [], number)
     goals = [e[0] for line in _lines(connector, region.swaths, []) for r in (False, True) if (e := line.ends(r))]
     headland = drive_passes(connector, start, goals if home is None else [*goals, home])
     if home is None and not headland.pieces:
         headland = drive_passes(connector, start, None)  # nothing else is reached: the last pass may end anywhere
     tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
     closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
+    tour, found = _filled_route(connector, home, tour, work, closed, number)
+    return tour, replace(found, pieces=[*headland.pieces, *found.pieces])
+
+
+def _worked_last(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
+    """Swaths and open passes, then the closed passes, then those of them that were not reached; the last tour."""
+    connector = region.connector
+    lines = _lines(connector, region.swaths, [])
+    closed = [p for p in connector.headland_passes if p.is_closed]
+    tour, onto = _drive_to(connector, start, lines, closed, home)
+    tour, found = _filled_route(connector, onto, tour, work, closed, number)
+    headland = drive_passes(connector, tour.place(len(tour.stops))[0], None if home is None else [home])
+    left = lines_of((), [opened(ring, connector, [headland.end]) for ring in headland.missed], 0.0)
+    after = drive_lines(connector, headland.end, home, left)
+    driven = [p for p in closed if not any(p is m for m in headland.missed)]
+    late = [s.line.source for s in after.stops if isinstance(s.line.source, HeadlandPass)]
+    open_passes = [p for p in found.headland_passes if not p.is_closed]
+    pieces = [*found.pieces, *headland.pieces, *after.pieces]
+    return after, Route(pieces, found.swaths, [*driven, *open_passes, *late])
+
+
+def _drive_to(
+    connector: PathConnector, start: Pose2, lines: Sequence[WorkLine], closed: Sequence[HeadlandPass],
+    home: Pose2 | None,
+) -> tuple[Tour, Pose2 | None]:  # fmt: skip
+    """The tour over most lines of those from whose end a closed pass, the innermost first, is reached; and where."""
+    near = home if home is not None else start
+    poses = [pose for ring in reversed(closed) for pose in places_on(ring, connector.rig.radius_m, near)[:PLACES]]
+    best: tuple[Tour, Pose2 | None] | None = None
+    for onto in poses:
+        tour = drive_lines(connector, start, onto, lines)
+        if best is None or len(tour.stops) > len(best[0].stops):
+            best = tour, onto
+        if len(tour.stops) == len(lines):
+            break
+    return best if best is not None else (drive_lines(connector, start, home, lines), home)
+
+
+def _filled_route(
+    connector: PathConnector, home: Pose2 | None, tour: Tour, work: Work, closed: Sequence[HeadlandPass], number: int
+) -> tuple[Tour, Route]:
+    """A tour, with reversing with swaths over what it and the closed passes leave bare, and its route."""
     if connector.rig.has_reverse:
         rig, around = connector.rig, shapely.union_all([pass_coverage(p, connector.rig) for p in closed])
         for _ in range(FILLINGS):
@@ -99,8 +150,8 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
             tour, number = filled.tour, filled.number
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
-    swaths = [s for s in sources if isinstance(s, Swath)]
-    return tour, Route([*headland.pieces, *tour.pieces], swaths, passes)
+    swaths = [s for s in sources if isinstance(s, AnySwath)]
+    return tour, Route(tour.pieces, swaths, passes)
 
 
 @dataclass
@@ -112,7 +163,7 @@ class _Filled:
     tour: Tour
     number: int
 
-    def insert(self, swaths: Sequence[Swath], most_s: float) -> bool:
+    def insert(self, swaths: Sequence[AnySwath], most_s: float) -> bool:
         """Puts swaths into the tour to which turns are found that take at most some time; returns whether any."""
         numbered = [replace(s, number=self.number + k) for k, s in enumerate(swaths)]
         lines = lines_of(numbered, (), -self.connector.rig.working_x_m)
@@ -150,7 +201,7 @@ def _room(connector: PathConnector) -> Pose2 | None:
     return next((p for p in poses if connector.space.is_free(np.array([p[:2]]), np.array([p.yaw_rad]))), None)
 
 
-def _lines(connector: PathConnector, swaths: Sequence[Swath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:
+def _lines(connector: PathConnector, swaths: Sequence[AnySwath], missed: Sequence[HeadlandPass]) -> list[WorkLine]:
     """Swaths, open passes, and those of the closed passes that were not reached before."""
     passes, lead_m = [p for p in connector.headland_passes if not p.is_closed], -connector.rig.working_x_m
     lines = lines_of(swaths, passes, lead_m)

@@ -14,6 +14,7 @@ from geometry.polygon import edge_angles, parts
 from geometry.pose2 import Pose2
 from planning.rig import Rig
 from planning.turns.free_space import FreeSpace
+from planning.turns.search import Leg, straight
 
 MIN_STRIP_M2 = 0.5
 STEP_M = 0.1
@@ -47,6 +48,12 @@ class Swath:
         heading = math.atan2(*(ends[1] - ends[0])[::-1])
         first, last = (Pose2(float(p[0]), float(p[1]), heading).ahead(lead_m) for p in ends)
         return first, last
+
+    def legs(self, lead_m: float) -> tuple[Leg | None, Leg | None]:
+        """Path of `base` in both directions."""
+        ends = [self.poses(is_reversed, lead_m) for is_reversed in (False, True)]
+        onwards, back = (None if e is None else straight(*e) for e in ends)
+        return onwards, back
 
 
 def strips_of(

@@ -8,8 +8,8 @@ import numpy as np
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass
-from planning.coverage.swath import Swath
-from planning.turns.search import Leg, straight
+from planning.coverage.interior import AnySwath
+from planning.turns.search import Leg
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class WorkLine:
     section_type: PathSectionType
     number: int
     legs: tuple[Leg | None, Leg | None]
-    source: Swath | HeadlandPass
+    source: AnySwath | HeadlandPass
 
     def straight_m(self, is_reversed: bool) -> float:
         """Length in one direction of a straight line, 0 of others."""
@@ -36,13 +36,9 @@ class WorkLine:
         return None if leg is None else (leg.pose(0), leg.pose(-1))
 
 
-def lines_of(swaths: Sequence[Swath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
+def lines_of(swaths: Sequence[AnySwath], passes: Sequence[HeadlandPass], lead_m: float) -> list[WorkLine]:
     """Swaths and open passes as lines; `lead_m` is the distance of `base` ahead of the working line."""
-    found = []
-    for swath in swaths:
-        ends = [swath.poses(is_reversed, lead_m) for is_reversed in (False, True)]
-        legs = tuple(None if e is None else straight(*e) for e in ends)
-        found.append(WorkLine(PathSectionType.SWATH, swath.number, (legs[0], legs[1]), swath))
+    found = [WorkLine(PathSectionType.SWATH, swath.number, swath.legs(lead_m), swath) for swath in swaths]
     for p in passes:
         leg = Leg(1, p.points_m, p.heading_rad, p.curvature_radpm)
         found.append(WorkLine(PathSectionType.HEADLAND, p.number, (leg, leg.back if p.is_two_way else None), p))

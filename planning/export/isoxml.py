@@ -9,7 +9,15 @@ from shapely.geometry.base import BaseGeometry
 
 from configs.site import Site
 from geometry.arrays import Float64
-from planning.export.shapes import degrees_of, field_of, in_degrees, name_of, pass_lines, swath_lines
+from planning.export.shapes import (
+    curved_swath_lines,
+    degrees_of,
+    field_of,
+    in_degrees,
+    name_of,
+    pass_lines,
+    swath_lines,
+)  # fmt: skip
 from planning.plan import Plan
 
 MAX_NAME = 32
@@ -37,9 +45,13 @@ def write_isoxml(plan: Plan, site: Site, folder: FilePath, version: str) -> None
     for name, shape in no_go:
         _line(SubElement(partfield, "PLN", A=OBSTACLE, B=name[:MAX_NAME]), EXTERIOR, shape.exterior, degrees)
     width_mm = round(1000.0 * plan.rig.working_width_m)
-    swaths, passes = swath_lines(plan), pass_lines(plan)
-    _group(partfield, "swaths", AB, swaths, 0, width_mm, degrees)
-    _group(partfield, "headland", CURVE, passes, len(swaths), width_mm, degrees)
+    number = 1
+    for name, kind, lines in (
+        ("swaths", AB, swath_lines(plan)), ("curved swaths", CURVE, curved_swath_lines(plan)),
+        ("headland", CURVE, pass_lines(plan)),
+    ):  # fmt: skip
+        _group(partfield, name, kind, lines, number, width_mm, degrees)
+        number += len(lines)
     indent(root)
     ElementTree(root).write(folder / "TASKDATA.XML", encoding="UTF-8", xml_declaration=True)
 
@@ -48,11 +60,11 @@ def _group(
     partfield: Element, name: str, kind: str, lines: Sequence[tuple[str, LineString]], first: int, width_mm: int,
     degrees: Callable[[Float64], Float64],
 ) -> None:  # fmt: skip
-    """One GGP; patterns are numbered from `first` + 1 in the file."""
+    """One GGP; patterns are numbered from `first` on in the file."""
     if not lines:
         return
-    group = SubElement(partfield, "GGP", A=f"GGP{1 if kind == AB else 2}", B=name)
-    for k, (title, line) in enumerate(lines, first + 1):
+    group = SubElement(partfield, "GGP", A=f"GGP{len(partfield.findall('GGP')) + 1}", B=name)
+    for k, (title, line) in enumerate(lines, first):
         pattern = SubElement(group, "GPN", A=f"GPN{k}", B=title, C=kind, E=NO_PROPAGATION, F=NO_EXTENSION)
         _line(pattern, GUIDANCE, line, degrees, width_mm)
 

@@ -10,7 +10,16 @@ from shapely.geometry.base import BaseGeometry
 from configs.site import Site
 from geometry.arrays import Float64
 from geometry.polygon import parts
-from planning.export.shapes import CURVE_ERROR_M, degrees_of, field_of, in_degrees, name_of, pass_lines, swath_lines
+from planning.export.shapes import (
+    CURVE_ERROR_M,
+    curved_swath_lines,
+    degrees_of,
+    field_of,
+    in_degrees,
+    name_of,
+    pass_lines,
+    swath_lines,
+)  # fmt: skip
 from planning.plan import Plan
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
@@ -40,7 +49,9 @@ def write_kml(plan: Plan, site: Site, file: FilePath) -> None:
     uncovered = [(u.reason, shape) for u in plan.uncovered for shape in parts(u.outline)]
     _folder(document, "Field", "field", [(name_of(site), field)], degrees)
     _folder(document, "No-go areas", "no_go", no_go, degrees)
-    _folder(document, "Guidance lines", "line", [*swath_lines(plan), *pass_lines(plan)], degrees)
+    _folder(
+        document, "Guidance lines", "line", [*swath_lines(plan), *curved_swath_lines(plan), *pass_lines(plan)], degrees
+    )
     _folder(document, "Path", "path", paths, degrees)
     _folder(document, "Uncovered", "uncovered", uncovered, degrees)
     indent(root)

@@ -1,6 +1,6 @@
 """Shapes of a plan for export: the field, areas to keep out of, guidance lines, and coordinates in degrees."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import shapely
@@ -8,6 +8,7 @@ from shapely.geometry import LineString, Polygon
 
 from configs.site import DatumConfig, Site
 from geometry.arrays import Float64
+from planning.coverage.curved_swath import CurvedSwath
 from planning.field.formats.contents import plain_name
 from planning.plan import Plan
 
@@ -41,19 +42,30 @@ def field_of(site: Site) -> tuple[Polygon, list[tuple[str, Polygon]]]:
 
 
 def swath_lines(plan: Plan) -> list[tuple[str, LineString]]:
-    """Straight guidance lines: the worked line of each swath, in the longer direction."""
+    """Straight guidance lines: the worked line of each straight swath, in the longer direction."""
     found = []
     for swath in plan.swaths:
+        if isinstance(swath, CurvedSwath):
+            continue
         ends = [e for e in (swath.onwards_m, swath.back_m) if e is not None]
         longest = max(ends, key=lambda e: float(np.hypot(*(e[1] - e[0]))))
         found.append((f"swath {swath.number + 1}", LineString(longest)))
     return found
 
 
+def curved_swath_lines(plan: Plan) -> list[tuple[str, LineString]]:
+    """Curved guidance lines: the path of `base` on each curved swath, in the longer direction."""
+    return _curves((f"swath {s.number + 1}", s.longer.p_map_m) for s in plan.swaths if isinstance(s, CurvedSwath))
+
+
 def pass_lines(plan: Plan) -> list[tuple[str, LineString]]:
     """Curved guidance lines: the path of `base` on each headland pass."""
-    lines = [LineString(p.points_m).simplify(CURVE_ERROR_M) for p in plan.headland_passes]
-    return [(f"headland {k + 1}", line) for k, line in enumerate(lines) if isinstance(line, LineString)]
+    return _curves((f"headland {k + 1}", p.points_m) for k, p in enumerate(plan.headland_passes))
+
+
+def _curves(named: Iterable[tuple[str, Float64]]) -> list[tuple[str, LineString]]:
+    lines = [(name, LineString(points).simplify(CURVE_ERROR_M)) for name, points in named]
+    return [(name, line) for name, line in lines if isinstance(line, LineString)]
 
 
 def name_of(site: Site) -> str:

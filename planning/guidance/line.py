@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.polyline import extend, polyline, resample
 from messages.errors import FieldError
@@ -80,6 +81,14 @@ class Curve:
         if number == 0:
             return base
         return _offset(base, number * width_m)
+
+
+def curved_line_of(work: Work) -> "Curve | Circle | None":
+    """The curve or circle to which the swaths of field work are parallel; None where they are straight."""
+    if work.swath_circle_m is not None:
+        x, y, radius_m = work.swath_circle_m
+        return Circle((x, y), radius_m)
+    return Curve(polyline(work.swath_curve_m)) if work.swath_curve_m else None
 
 
 def _offset(base: Float64, to_left_m: float) -> Float64:

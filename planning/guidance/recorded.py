@@ -5,11 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from configs.mission import Work
 from geometry.geodesy import Datum
 from geometry.polyline import polyline
 from messages.errors import FieldError
 from planning.field.formats.contents import LonLat, RecordedLine
 from planning.guidance.line import Circle, Curve, Straight, a_plus, ab
+from planning.guidance.offset_lines import check_simple
 
 A_PLUS_LENGTH_M = 100.0
 SHOWN = 8
@@ -49,14 +51,21 @@ def line_in_map(recorded: RecordedLine, datum: Datum) -> Line:
         raise FieldError(f"guidance line {recorded.name!r}: {error}") from error
 
 
-def straight_in_map(recorded: RecordedLine, datum: Datum) -> Straight:
-    """An AB or A+ line about a datum; raises FieldError for a curve or a pivot."""
+def work_along(work: Work, recorded: RecordedLine, datum: Datum) -> Work:
+    """Field work whose swaths are parallel to a line of a field file; raises FieldError for a line that is none."""
     line = line_in_map(recorded, datum)
-    if not isinstance(line, Straight):
-        raise FieldError(
-            f"guidance line {recorded.name!r} is a {recorded.kind}; swaths are straight: choose an AB or A+ line"
-        )
-    return line
+    free = {"swath_direction_deg": None, "swath_through_m": None, "swath_curve_m": (), "swath_circle_m": None}
+    if isinstance(line, Straight):
+        found = {"swath_direction_deg": math.degrees(line.heading_rad), "swath_through_m": line.a_m}
+    elif isinstance(line, Circle):
+        found = {"swath_circle_m": (*line.center_m, line.radius_m)}
+    else:
+        try:
+            check_simple(line)
+        except FieldError as error:
+            raise FieldError(f"guidance line {recorded.name!r}: {error}") from error
+        found = {"swath_curve_m": tuple((float(x), float(y)) for x, y in line.points_m)}
+    return work.model_copy(update=free | found)
 
 
 def _to_map(point: LonLat, datum: Datum) -> tuple[float, float]:

@@ -52,11 +52,11 @@ def check_field(arguments: argparse.Namespace) -> tuple[str, ...]:
     choose(contents, arguments.feature, str(path))
     # only now: the import takes 0.5 s, and a file of another kind is reported at once
     from planning.field.field import outline_of
-    from planning.guidance.recorded import choose_line, listed, straight_in_map
+    from planning.guidance.recorded import choose_line, line_in_map, listed
 
     outline = outline_of(contents, path, arguments.feature)
     if arguments.guidance is not None:
-        straight_in_map(choose_line(outline.lines, arguments.guidance), outline.datum.datum)
+        line_in_map(choose_line(outline.lines, arguments.guidance), outline.datum.datum)
         return outline.notes
     if not outline.lines:
         return outline.notes

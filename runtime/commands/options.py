@@ -76,7 +76,9 @@ FEATURE = _option(
     help="field of a file with several: its name, or its number from 1; with .PART one part of it",
 )  # fmt: skip
 GUIDANCE = _option(
-    "--guidance", metavar="LINE", help="AB or A+ line of the field file, by name or number: swaths are parallel to it"
+    "--guidance",
+    metavar="LINE",
+    help="line of the field file (AB, A+, curve, pivot), by name or number: swaths are parallel to it",
 )
 BUS_NAMES = "CAN bus: loopback:GROUP:PORT, or INTERFACE:CHANNEL of python-can such as socketcan:can0"
 MISSION = (

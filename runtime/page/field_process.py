@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from configs.mission import Mission
+from configs.mission import Mission, Work
 from geometry.arrays import Float64
 from geometry.polyline import simplified
 from hmi.drive_view.map_view import static_map
 from hmi.plan_view.mission_store import MISSION, PLAN, SEED, field_of
+from hmi.plan_view.options import default_work
 from hmi.plan_view.plan_result import PlanResult, write_result
 from hmi.scene import Scene
 from messages.errors import FieldError, HeadlandError
@@ -28,7 +29,8 @@ from planning.field.feature_choice import choose
 from planning.field.field import FieldOutline, outline_of
 from planning.field.formats.contents import FieldFile
 from planning.field.formats.known_formats import read_file
-from planning.guidance.recorded import straight_in_map
+from planning.guidance.line import curved_line_of
+from planning.guidance.recorded import work_along
 from planning.plan import Plan
 from runtime.processes import PARENT, end_with_parent
 
@@ -63,23 +65,23 @@ def read(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
     if feature is None and len(found["features"]) > 1:
         return found
     outline = outline_of(contents, path, feature)
-    lines, unused = straight_lines(outline)
+    lines, unused = shown_lines(outline)
     return found | {
         "name": outline.name, "notes": [*outline.notes, *unused], "map": outline_map(outline), "lines": lines,
     }  # fmt: skip
 
 
-def straight_lines(outline: FieldOutline) -> tuple[list[list[Any]], list[str]]:
-    """Number, name, and two points far outside of the field, of each AB and A+ line; and why others are not used."""
+def shown_lines(outline: FieldOutline) -> tuple[list[list[Any]], list[str]]:
+    """Number, name and points of each guidance line, straight ones to far outside; and why others are not used."""
     lines: list[list[Any]] = []
     unused = []
     for k, recorded in enumerate(outline.lines[:MAX_FEATURES]):
         try:
-            line = straight_in_map(recorded, outline.datum.datum)
+            points = points_of(work_along(default_work(), recorded, outline.datum.datum))
         except FieldError as error:
             unused.append(str(error))
             continue
-        lines.append([f"{k + 1}", f"{k + 1} {recorded.name}".strip(), through(line.a_m, line.heading_rad)])
+        lines.append([f"{k + 1}", f"{k + 1} {recorded.name}".strip(), points])
     return lines, unused
 
 
@@ -149,8 +151,15 @@ def plan(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
 
 def guide_of(mission: Mission) -> list[list[float]] | None:
     """The guidance line of the swaths, None without one."""
-    work = mission.work
-    if work is None or work.swath_through_m is None or work.swath_direction_deg is None:
+    return None if mission.work is None else points_of(mission.work)
+
+
+def points_of(work: Work) -> list[list[float]] | None:
+    """Points of the guidance line of field work for the map."""
+    curved = curved_line_of(work)
+    if curved is not None:
+        return _listed(simplified(curved.line(0, 0.0)))
+    if work.swath_through_m is None or work.swath_direction_deg is None:
         return None
     return through(work.swath_through_m, math.radians(work.swath_direction_deg))
 

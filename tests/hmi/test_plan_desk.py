@@ -460,9 +460,10 @@ def test_a_guidance_line_comes_back_from_its_mission_file(tmp_path: Path) -> Non
 
 
 def test_rows_lie_along_the_guidance_line_of_the_file_or_a_drawn_one(tmp_path: Path) -> None:
-    """Rows are parallel to the line, at whole widths from it; a curve of the file is named and not offered."""
+    """Rows are parallel to the line, at whole widths from it; a curve that crosses itself is named and not offered."""
     field = json.loads(geojson())
     names = {"A": [[11.0002, 48.0001], [11.0009, 48.0004]], "bend": [[11.0, 48.0], [11.0004, 48.0], [11.0004, 48.0004]]}
+    names["loop"] = [[11.0, 48.0], [11.0008, 48.0], [11.0008, 48.0004], [11.0004, 48.0004], [11.0004, 47.9996]]
     lines = [
         {"type": "Feature", "properties": {"name": name}, "geometry": {"type": "LineString", "coordinates": points}}
         for name, points in names.items()
@@ -486,10 +487,12 @@ def test_rows_lie_along_the_guidance_line_of_the_file_or_a_drawn_one(tmp_path: P
         desk = desk_in(tmp_path, PLANNER, 600.0)
         desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"lines.geojson": text})
-        assert [(line.number, line.name) for line in desk.lines] == [("1", "1 A")]
-        assert any("'bend' is a curve" in note for note in desk.notes)
+        assert [(line.number, line.name) for line in desk.lines] == [("1", "1 A"), ("2", "2 bend")]
+        assert any("'loop': the curve crosses itself" in note for note in desk.notes)
         with pytest.raises(Refused, match="no_line"):
-            desk.choose_line("2")
+            desk.choose_line("3")
+        desk.choose_line("2")
+        assert len(desk.guide or ()) > 2
         desk.choose_line("1")
         assert desk.guide == desk.lines[0].points_m
         await desk.make_plan()

@@ -13,7 +13,7 @@ from messages.errors import ConfigError, FieldError
 from planning.config import PlanningConfig
 from planning.field.field import FieldOutline, read_field
 from planning.guidance.line import Circle, Curve, Straight
-from planning.guidance.recorded import choose_line, line_in_map, straight_in_map
+from planning.guidance.recorded import choose_line, line_in_map, work_along
 from planning.plan import plan_field
 from runtime.setup import load_setup
 from tests.planning.field_samples import (
@@ -84,8 +84,22 @@ def test_choice_of_a_line(task_data: FieldOutline) -> None:
         choose_line([*task_data.lines, task_data.lines[0]], "AB")
     with pytest.raises(FieldError, match="no guidance line 'x'; the field has: none"):
         choose_line([], "x")
-    with pytest.raises(FieldError, match="'curve' is a curve"):
-        straight_in_map(choose_line(task_data.lines, "curve"), task_data.datum.datum)
+
+
+def test_work_along_each_kind_of_line(task_data: FieldOutline, mission: Mission) -> None:
+    assert mission.work is not None
+    work, datum = mission.work, task_data.datum.datum
+    for line in task_data.lines:  # from one to the next: nothing of the one before is left
+        work = work_along(work, line, datum)
+        is_straight = line.kind in ("ab", "a_plus")
+        given = (work.swath_direction_deg is not None, work.swath_through_m is not None)
+        assert given == (is_straight, is_straight)
+        assert (len(work.swath_curve_m) > 0) == (line.kind == "curve")
+        assert (work.swath_circle_m is not None) == (line.kind == "pivot")
+        Work.model_validate(work.model_dump())
+    circle = work_along(work, choose_line(task_data.lines, "pivot"), datum).swath_circle_m
+    assert circle is not None
+    assert circle[2] == 25.0
 
 
 def test_points_at_one_place_are_no_line(tmp_path: Path) -> None:
@@ -93,7 +107,7 @@ def test_points_at_one_place_are_no_line(tmp_path: Path) -> None:
     path.write_text(geojson([("F", "Polygon", [SQUARE]), ("AB", "LineString", [AB[0], AB[0]])]))
     outline = read_field(path)
     with pytest.raises(FieldError, match=r"guidance line 'AB': A and B are 0\.00 m apart"):
-        straight_in_map(outline.lines[0], outline.datum.datum)
+        line_in_map(outline.lines[0], outline.datum.datum)
 
 
 @pytest.mark.parametrize("suffix", ["json", "kml"])

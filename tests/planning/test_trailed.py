@@ -192,6 +192,10 @@ def test_refusals(
     open_mission = mission.model_copy(update={"bay": None, "work": reverse})
     with pytest.raises(FieldError, match="is trailed and does not reverse: set turns: forward"):
         plan_mission(open_mission, site, vehicle, disc_harrow, planning, start, 1)
+    curved = WORK.model_copy(update={"turns": "forward", "swath_curve_m": ((0.0, 0.0), (20.0, 4.0), (40.0, 0.0))})
+    for work in (curved, WORK.model_copy(update={"turns": "forward", "headland": "none"})):
+        with pytest.raises(FieldError, match="is trailed: straight swaths with headland passes only"):
+            plan_field(site, vehicle, disc_harrow, work, planning.planner, 1)
     within = PoseConfig(x_m=40.0, y_m=30.0, heading_deg=0.0)
     back = Line(speed_kmh=5.0, legs=(Leg(length_m=10.0), Leg(length_m=5.0, is_reverse=True)))
     names = {"name": "line", "site": "demo", "machine": "tractor_e", "implement": "disc_harrow_3m"}
