@@ -9,6 +9,15 @@ from configs.strict import Config
 from configs.vehicle import Kmh
 
 
+class EdgeMargin(Config):
+    """Margin along a part of the outline of the field, the shorter way between the points of it nearest to two."""
+
+    from_m: tuple[Coordinate, Coordinate] = Field(description="point in `map`")
+    to_m: tuple[Coordinate, Coordinate] = Field(description="point in `map`")
+    margin_m: float = Field(ge=0.0, le=50.0, description="between the swept area and this part, if more than elsewhere")
+    reason: str = Field(min_length=1, max_length=40, description="what is there, as hedge, ditch, road")
+
+
 class Work(Config):
     """Field work."""
 
@@ -48,6 +57,9 @@ class Work(Config):
     turn_speed_kmh: Kmh
     lane_speed_kmh: Kmh
     boundary_margin_m: float = Field(ge=0.0, le=5.0, description="between the swept area and the field edge")
+    margins: Annotated[tuple[EdgeMargin, ...], Field(max_length=100)] = Field(
+        default=(), description="larger margins along parts of the outline"
+    )
     least_planned_share: float = Field(default=0.95, ge=0.0, le=1.0, description="`plan` returns 1 below it")
     turns: Literal["forward", "reverse"] = Field(
         default="forward", description="reverse: turns may reverse with the lifted implement, and corners are filled"

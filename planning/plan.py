@@ -148,7 +148,7 @@ def plan_field(
     """Plan of a field with lane and yard; raises FieldError where the rig would leave them."""
     report("headland")
     rig, folded = (rig_of(vehicle, i, work, config) for i in (implement, implement.folded))
-    drivable = drivable_area_of(site, work.boundary_margin_m + PROOF_SLACK_M)
+    drivable = drivable_area_of(site, work.boundary_margin_m, work.margins, PROOF_SLACK_M)
     areas = regions_of(drivable, rig.width_m, folded.width_m)
     if rig.trailer is not None:
         if curved_line_of(work) is not None or work.headland == "none":
@@ -177,20 +177,21 @@ def plan_field(
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
     report("check")
     paths = paths_of(found.pieces, rig, 1)
-    check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m))
-    area = worked_area(paths, rig).intersection(drivable.free)
+    check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m, work.margins))
+    area = worked_area(paths, rig).intersection(drivable.whole)
     bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
     uncovered = _uncovered(drivable, areas, area, rig, bends)
-    size_m2 = drivable.free.area
+    size_m2 = drivable.whole.area
     return Plan(
         paths, area, size_m2, area.area / size_m2, _length_m(paths), uncovered, tuple(found.swaths),
         tuple(found.headland_passes), drivable, rig, folded,
     )  # fmt: skip
 
 
-def check_within(plan: Plan, site: Site, margin_m: float) -> None:
+def check_within(plan: Plan, site: Site, work: Work) -> None:
     """Raises FieldError where the rig of a plan would leave field, lane or yard of another site."""
-    check_inside(plan.paths, plan.rig, plan.folded_rig, drivable_area_of(site, margin_m))
+    drivable = drivable_area_of(site, work.boundary_margin_m, work.margins)
+    check_inside(plan.paths, plan.rig, plan.folded_rig, drivable)
 
 
 def plan_line(line: Line, site: Site, rig: Rig, folded: Rig, start: PoseConfig) -> Plan:
@@ -271,6 +272,8 @@ def _uncovered(
         NARROW_PART: missed.intersection(narrow),
         NARROW_PASSAGE: complete.free.difference(free).difference(area),
     }
+    if complete.free is not complete.whole:  # with larger margins along parts of the outline
+        shapes[EDGE_MARGIN] = shapes[EDGE_MARGIN].union(complete.whole.difference(complete.free).difference(area))
     found = [(reason, p) for reason, shape in shapes.items() for p in parts(shape, MIN_UNCOVERED_M2)]
     return tuple(Uncovered(reason, p.area, place_of(p), p) for reason, p in found)
 

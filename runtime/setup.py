@@ -116,7 +116,7 @@ def load_setup(
     plan = plan_mission(chosen, site, vehicle, mounted, stack.planning, start, seed, report)
     surveyed = site if outline is None else site_of_original(site, outline)
     if surveyed is not site and chosen.work is not None:
-        check_within(plan, surveyed, chosen.work.boundary_margin_m)
+        check_within(plan, surveyed, chosen.work)
     session = np.random.default_rng([seed, SESSION_STREAM]).bytes(16).hex()
     return Setup(chosen, site, surveyed, vehicle, mounted, stack, plan, seed, start, is_folded, session, built=built)
 

@@ -10,6 +10,7 @@ SECTIONS = ("vehicle", "implement", "corrections", "work")
 MOUNTS = "mounts"
 HIDDEN = (
     "work.headland",
+    "work.margins",
     "work.turns",
     ".solids.",
     ".kind",

@@ -1,18 +1,22 @@
 """Drivable area: field, lanes, gate and yard less fence, posts and no-go areas."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
 
+from configs.mission import EdgeMargin
 from configs.site import Outline, Site
 from geometry.polygon import grow, parts, polygon_of, shrink
 from messages.errors import FieldError
 
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
+LEAST_STRETCH_M = 0.1
 POST_M = 0.1  # half the thickness of a gate post
 PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
 PASSAGE_WIDTHS = 1.2  # of the rig: through a narrower passage it drives folded, or not at all
@@ -21,19 +25,26 @@ LEAST_REGION_SHARE = 0.01  # of the field: a smaller region is not worth folding
 
 @dataclass(frozen=True)
 class DrivableArea:
-    """`field` as surveyed, `free` less no-go areas, `inner` less the margin, `allowed` with lanes, gate, yard."""
+    """`field` as surveyed, `whole` less no-go areas, `free` less what larger margins add, `inner` less the margin.
+
+    `allowed` is `inner` with lanes, gate and yard.
+    """
 
     site: Site
     margin_m: float
     field: Polygon
+    whole: BaseGeometry
     free: BaseGeometry
     inner: BaseGeometry
     allowed: BaseGeometry
     fence: BaseGeometry
 
 
-def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
-    """Drivable area of a site with `margin_m` to every edge; raises FieldError."""
+def drivable_area_of(
+    site: Site, margin_m: float, edges: Sequence[EdgeMargin] = (), slack_m: float = 0.0
+) -> DrivableArea:
+    """Drivable area of a site with `margin_m` to every edge, or that of `edges`, and `slack_m`; raises FieldError."""
+    margin_m, more_m = margin_m + slack_m, margin_m
     field = _area(site.boundary_m, f"field of site {site.name!r}")
     excluded = [_area(a.outline_m, f"no-go area {a.name!r}") for a in site.no_go]
     if site.shed is not None:
@@ -44,12 +55,32 @@ def drivable_area_of(site: Site, margin_m: float) -> DrivableArea:
         for lane in site.lanes
     ]
     fence = field.exterior.difference(_openings(site, lanes))
-    free = field.difference(no_go)
+    whole = field.difference(no_go)
+    wide = [_stretch(field, e).buffer(e.margin_m - more_m, quad_segs=16) for e in edges if e.margin_m > more_m]
+    kept_off = shapely.union_all(wide).intersection(field).difference(shapely.union_all(lanes)) if wide else Polygon()
+    free = whole.difference(kept_off) if wide else whole
     connector = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
     posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
     allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
     inner = shrink(free, margin_m).difference(posts)
-    return DrivableArea(site, margin_m, field, free, polygon_of(inner), polygon_of(allowed), fence)
+    return DrivableArea(site, margin_m, field, whole, free, polygon_of(inner), polygon_of(allowed), fence)
+
+
+def _stretch(field: Polygon, edge: EdgeMargin) -> LineString:
+    """Part of the outline to which a margin belongs; raises FieldError for one without length."""
+    ring = field.exterior
+    first, last = sorted(ring.project(Point(p)) for p in (edge.from_m, edge.to_m))
+    if last - first > 0.5 * ring.length:  # over the end of the ring
+        parts_m = [substring(ring, last, ring.length), substring(ring, 0.0, first)]
+        points = [p for part in parts_m for p in part.coords]
+    else:
+        points = list(substring(ring, first, last).coords)
+    line = LineString(points) if len(points) > 1 else LineString()
+    if not line.length > LEAST_STRETCH_M:
+        raise FieldError(
+            f"margin {edge.reason!r}: from {edge.from_m} and to {edge.to_m} are at the same place of the outline"
+        )
+    return line
 
 
 def regions_of(drivable: DrivableArea, width_m: float, transport_m: float) -> list[DrivableArea]:

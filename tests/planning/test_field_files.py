@@ -332,7 +332,7 @@ def test_register(name: str) -> None:
 def test_plan_is_checked_against_the_original(plan: Plan, site: Site, mission: Mission) -> None:
     assert mission.work is not None
     outline = FieldOutline("f", site.datum, Polygon(site.boundary_m), Polygon(site.boundary_m))
-    check_within(plan, site_of_original(site, outline), mission.work.boundary_margin_m)
+    check_within(plan, site_of_original(site, outline), mission.work)
     narrower = replace(outline, original=Polygon(site.boundary_m).buffer(-0.1, join_style="mitre"))
     with pytest.raises(FieldError, match="leaves the field"):
-        check_within(plan, site_of_original(site, narrower), mission.work.boundary_margin_m)
+        check_within(plan, site_of_original(site, narrower), mission.work)
