@@ -200,6 +200,11 @@ def is_of(class_evidence: Float64, label: int) -> Bool:
     return np.asarray(class_evidence.argmax(axis=1) == label) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
+def may_be(class_evidence: Float64, label: int) -> Bool:
+    """Whether no class is more likely than the one with index `label`, (T,), from class evidence (T, 8)."""
+    return np.asarray(class_evidence[:, label] >= class_evidence.max(axis=1, initial=-np.inf))
+
+
 def is_moving_class(class_evidence: Float64) -> Bool:
     """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 8)."""
     return np.asarray(MOVING_CLASSES[class_evidence.argmax(axis=1)]) if len(class_evidence) else np.zeros(0, np.bool_)
@@ -232,7 +237,7 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON), parents,
+        np.full(len(rows), detections.is_lidar), may_be(detections.class_log_scores[rows], PERSON), parents,
         config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
@@ -246,7 +251,7 @@ def merge_fragments(
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     is_lidar = measured_by_lidar(table, lidars, config)
     found = is_fragment(
-        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON), parents,
+        table.x, table.P, velocity, body, table.size_m, is_lidar, may_be(table.class_evidence, PERSON), parents,
         config.fragments,
     )  # fmt: skip
     found[parents.row, np.arange(len(parents.row))] = False
