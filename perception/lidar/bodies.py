@@ -21,6 +21,7 @@ from perception.lidar.grid import take_rows
 LOOSE, OTHER = -1, -2  # marks of returns in no part, and in a part that is no body
 WHOLE, BODY, MAY_HOLD_BODY = 0, 1, 2  # kinds of clusters: nothing taken off; a body; part of it may be one
 FOOT_M = 0.15  # by which feet and other loose returns stand out of a body
+DOUBT_FILL = 0.6  # of `min_fill`: with fewer returns not even a doubt, such as in the far half of a slanted face
 LOW_M = 0.45  # returns of the ground this near to a body would widen the box of what it stands beside
 BICYCLE_M = (2.2, 1.15)  # length, and height without the rider
 MIN_JOINS = 1.5  # joining distances of the extent of a body: single columns of a slanted face have less
@@ -145,7 +146,9 @@ def _separate(
         away2 = max(x * x + y * y, 0.25)
         across = (abs(y) * (x1 - x0) + abs(x) * (y1 - y0)) / math.sqrt(away2)
         n = part_offsets[p + 1] - part_offsets[p]
-        is_body[p] &= n >= sufficient or n >= per_rad2 * across * (z1 - z0) / away2
+        filled = n * away2 / max(per_rad2 * across * (z1 - z0), 1e-9)
+        is_body[p] &= n >= sufficient or filled >= 1.0
+        has_outline[p] &= n >= sufficient or filled >= DOUBT_FILL
         is_body[p] &= max(x1 - x0, y1 - y0) >= least_m + growth * math.sqrt(away2)
     bodies = np.zeros(clusters, np.int32)
     for p in range(parts):

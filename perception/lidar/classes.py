@@ -28,14 +28,15 @@ def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool, kinds: UInt
 
     `is_floating` (K,): there is clear space beneath the cluster. `kinds` (K,), of `perception.lidar.bodies`: a body
     beside something larger is a person or a post: as much unknown as anything else, so that a track that was a person
-    before stays one. A cluster that may hold a body is no vehicle.
+    before stays one. A cluster that may hold a body is as much unknown as a vehicle.
     """
     scores = np.zeros((len(size_m), len(CLASSES)))
     scores[:, 0] = UNKNOWN_WEIGHT
     height, length, width = trapezoid(np.stack([top_m, size_m[:, 0], size_m[:, 1]])[:, :, None], *LIMITS)
     scores[:, SHAPED] = np.where(is_floating[:, None], 0.0, height * length * width)
     scores[:, CLASSES.index(ObstacleClass.AIRBORNE)] = is_floating
-    scores[kinds == MAY_HOLD_BODY, CLASSES.index(ObstacleClass.VEHICLE)] = 0.0
+    doubtful = kinds == MAY_HOLD_BODY
+    scores[doubtful, 0] = np.maximum(scores[doubtful, 0], scores[doubtful, CLASSES.index(ObstacleClass.VEHICLE)])
     scores[kinds == BODY] = BODY_SCORES
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
