@@ -4,7 +4,8 @@
 
 A person stands 5 to 20 m away in front of the structure or beside its end, in four scans at 10 Hz. Own: at the end a
 confirmed track about the person is no longer than 1.5 m. Possibly: the track that holds its returns is a person or of
-unknown class. Scenes in which other things hide the person (fewer than 10 returns) are drawn again. Persons are returns of pedestrians of the recording, or cast like the structure: a body of cylinders.
+unknown class. Scenes in which other things hide the person (fewer than 10 returns) are drawn again. Persons are returns
+of pedestrians of the recording, or cast like the structure: a body of cylinders.
 """
 
 import argparse

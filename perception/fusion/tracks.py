@@ -207,7 +207,7 @@ def may_be(class_evidence: Float64, label: int) -> Bool:
 
 
 def is_body(class_evidence: Float64) -> Bool:
-    """Which (T,) are bodies beside something larger: a person or unknown, equally likely; from class evidence (T, 8)."""
+    """Which (T,) are bodies told apart from something larger, a person or unknown; from class evidence (T, 8)."""
     pair = class_evidence[:, [UNKNOWN, PERSON]]
     return np.asarray(pair.min(axis=1) >= class_evidence.max(axis=1, initial=-np.inf) - EQUAL)
 
@@ -244,8 +244,8 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), may_be(detections.class_log_scores[rows], PERSON), is_body(detections.class_log_scores[rows]), parents,
-        config.fragments,
+        np.full(len(rows), detections.is_lidar), may_be(detections.class_log_scores[rows], PERSON),
+        is_body(detections.class_log_scores[rows]), parents, config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
 

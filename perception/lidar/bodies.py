@@ -4,6 +4,10 @@ Clusters join over gaps in which a sparse or partly hidden body would fall apart
 car or a hedge belongs to its cluster. Above the knees, returns of one body lie closer to each other than that: parts of
 a cluster that are joined over little more than a column of beams, and have the size of a person, are clusters of their
 own. What is left of the cluster stays one; a rider is not taken off a bicycle.
+
+           ┌────────────────┐ wall, hedge, fence, vehicle     whole:   nothing taken off
+    gap    └────────────────┘                                 body:    a person or a post, equally likely
+               ( )  body                                      may hold a body: no more a vehicle than unknown
 """
 
 import math
@@ -126,8 +130,8 @@ def _separate(
 ) -> tuple[Int32, Int32]:  # fmt: skip
     """Offsets and indices of the clusters without the parts that are bodies, followed by these.
 
-    `cluster`: that of each of `part_indices`. Sets `kinds` of clusters with a part that has the outline of a body and is
-    not taken off.
+    `cluster`: that of each of `part_indices`. Sets `kinds` of clusters with a part that has the outline of a body and
+    is not taken off.
     """
     clusters, parts = offsets.shape[0] - 1, part_offsets.shape[0] - 1
     own, box, is_body = np.empty(parts, np.int32), np.empty((parts, 5)), np.zeros(parts, np.bool_)

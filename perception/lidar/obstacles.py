@@ -197,8 +197,8 @@ class Pipeline:
         is_floating = floating_share(kept, point_class) >= self.config.airborne.min_share
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
-            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating, kinds[high]), kept.offsets,
-            kept.indices, take_rows(points, kept.indices),
+            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating, kinds[high]),
+            kept.offsets, kept.indices, take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
