@@ -2,7 +2,7 @@
 
 lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments, and those within a margin
         about it; but of one that is detected as a whole nothing outside of its box is that has the shape of a person,
-        and nothing is that was told apart from its cluster
+        and nothing is that was separated from its cluster
 others  their position is less accurate: a detection that may lie within the box of a lidar track is a fragment of it,
         unless its velocity differs or the box is too large for its body
 """
@@ -38,7 +38,7 @@ def is_fragment(
 
     Only the first two columns of the positions `p_m` (K, ..) and the first block of their covariances `S` are used;
     `velocity_mps` (K, 2) and `body_length_m` (K,) are NaN where unknown; `is_lidar` (K,) selects the rule;
-    `is_person` (K,): no class is more likely; `is_body` (K,): it was told apart from something larger.
+    `is_person` (K,): no class is more likely; `is_body` (K,): it was separated from something larger.
     """
     found = np.empty((len(p_m), len(parents.row)), np.bool_)
     _find_fragments(

@@ -207,7 +207,7 @@ def may_be(class_evidence: Float64, label: int) -> Bool:
 
 
 def is_body(class_evidence: Float64) -> Bool:
-    """Which (T,) are bodies told apart from something larger, a person or unknown; from class evidence (T, 8)."""
+    """Which (T,) are bodies separated from something larger, a person or unknown; from class evidence (T, 8)."""
     pair = class_evidence[:, [UNKNOWN, PERSON]]
     return np.asarray(pair.min(axis=1) >= class_evidence.max(axis=1, initial=-np.inf) - EQUAL)
 
