@@ -229,7 +229,9 @@ class BystanderConfig(Config):
     """Tracked bodies that come towards machine or implement from any side."""
 
     min_unclassified_age_s: Seconds = Field(description="minimum age of an unclassified track for its motion to count")
+    max_unclassified_height_m: Metres = Field(description="height of an unclassified narrow track that moves itself")
     min_coming_s: Seconds = Field(description="time for which a track must come")
+    min_coming_m: Metres = Field(description="and distance for which, at its speed")
     manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="change of its velocity that a body may make")
     closing_m: Metres = Field(description="a predicted approach by less is none")
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")

@@ -104,15 +104,25 @@ class Bystanders:
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
-        """Those that come in two messages: edges of walls, parts of fences and dust appear to for one."""
+        """Those that come in two messages and for some distance: edges of walls, parts of fences, stored goods that
+        come into view and dust appear to for a moment."""
         since_ns = {track.id: self._coming_since_ns.get(track.id, stamp_ns) for track in coming}
         self._coming_since_ns = since_ns
-        return [track for track in coming if stamp_ns - since_ns[track.id] >= self._config.min_coming_s * 1e9]
+        return [track for track in coming if (stamp_ns - since_ns[track.id]) * 1e-9 >= self._needed_s(track)]
+
+    def _needed_s(self, track: Track) -> float:
+        speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
+        return max(self._config.min_coming_s, self._config.min_coming_m / max(speed_mps, self._tracked.moving_mps))
 
     def _is_settled(self, track: Track) -> bool:
-        """Whether the motion of a moving track counts: it has a class, or is old enough."""
+        """Whether the motion of a moving track counts: it has a class, or is old enough and not high and narrow, as the
+        edge of a wall or a post is."""
+        if track.label is not ObstacleClass.UNKNOWN:
+            return True
+        is_edge = float(track.size_m[2]) > self._config.max_unclassified_height_m
+        is_edge = is_edge and float(np.max(track.size_m[:2])) < self._tracked.max_unclassified_length_m
         age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
-        return track.label is not ObstacleClass.UNKNOWN or age_s >= self._config.min_unclassified_age_s
+        return age_s >= self._config.min_unclassified_age_s and not is_edge
 
     def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:
         """Each bystander at its new place, under the number of the track that continues it."""

@@ -53,7 +53,7 @@ def see(
     at_s: float = 0.0,
 ) -> bool:  # fmt: skip
     """Whether somebody comes in two messages, of tracks that move as their velocity says."""
-    for stamp_ns in (START_NS + round(at_s * 1e9), START_NS + round((at_s + 0.1) * 1e9)):
+    for stamp_ns in (START_NS + round(at_s * 1e9), START_NS + round((at_s + 0.4) * 1e9)):
         take(bystanders, area, *tracks, speed_mps=speed_mps, pose=pose, stamp_ns=stamp_ns)
     return bystanders.coming is not None
 
@@ -68,12 +68,18 @@ def take(
 
 @pytest.mark.parametrize("label", [ObstacleClass.UNKNOWN, ObstacleClass.PERSON])
 def test_a_track_has_to_come_for_two_messages(bystanders: Bystanders, area: SweptArea, label: ObstacleClass) -> None:
-    comes, still = (person(WING_X, 5.5, vy=vy, label=label) for vy in (-1.5, 0.0))
     found = []
-    for one, at_s in [(comes, 0.0), (comes, 0.02), (still, 0.1), (comes, 0.2), (comes, 0.3)]:
+    for vy, at_s in [(-1.6, 0.0), (-1.6, 0.02), (0.0, 0.1), (-1.6, 0.2), (-1.6, 0.3)]:
+        one = person(WING_X, 5.5 - 1.6 * at_s, vy=vy, label=label)
         take(bystanders, area, one, stamp_ns=START_NS + round(at_s * 1e9))
         found.append(bystanders.coming is not None)
     assert found == [False, False, False, False, True]
+
+
+def test_what_comes_slowly_has_to_have_moved(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
+    for k in range(8):
+        take(bystanders, area, person(WING_X, 4.2 - 0.05 * k, vy=-0.5), stamp_ns=START_NS + k * 100_000_000)
+        assert (bystanders.coming is not None) == (0.05 * k >= config.bystanders.min_coming_m - 1e-9), k
 
 
 def test_distance_to_bodies(area: SweptArea) -> None:
@@ -324,3 +330,13 @@ def test_stop_for_a_vehicle_among_plants_that_comes_from_the_side(world: World) 
         world.tracks = (one,)
         world.run(0.1)
     assert world.mode == Mode.OBSTACLE_STOP
+
+
+@pytest.mark.parametrize(("size", "label", "comes"), [
+    ((0.8, 0.4, 2.3), ObstacleClass.UNKNOWN, True), ((0.8, 0.4, 2.31), ObstacleClass.UNKNOWN, False),
+    ((0.8, 0.4, 2.4), ObstacleClass.PERSON, True), ((2.0, 0.9, 2.6), ObstacleClass.UNKNOWN, True),
+])  # fmt: skip
+def test_the_edge_of_a_wall_does_not_come(
+    bystanders: Bystanders, area: SweptArea, size: tuple[float, float, float], label: ObstacleClass, comes: bool
+) -> None:
+    assert see(bystanders, area, person(WING_X, 5.0, vy=-1.5, label=label, size=size)) == comes
