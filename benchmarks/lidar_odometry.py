@@ -20,12 +20,11 @@ from kiss_icp.mapping import VoxelHashMap
 from kiss_icp.registration import Registration
 from scipy.spatial.transform import Rotation
 
-from configs.strict import CONFIGS, find, load, parse, read_yaml
+from configs.strict import find, load
 from configs.vehicle import ImplementFile, Vehicle
 from datasets.reader import read_log
 from geometry.arrays import Float64
-from geometry.transforms import invert, yaw_of
-from localization.config import LocalizationConfig
+from geometry.transforms import invert
 from localization.dead_reckoning.dead_reckoning import PoseHistory
 from localization.dead_reckoning.kernels import first_in_voxel
 from localization.lidar.scan_matching import ScanMatcher, level_of, thin
@@ -33,8 +32,9 @@ from localization.lidar.scan_preprocessing import ScanPreprocessor
 from messages.motion import Odometry
 from messages.sensors import LidarScan
 from messages.truth import TrueMachine
-from perception.config import PerceptionConfig
 from perception.lidar.obstacles import Pipeline
+from tests.localization.harness import configuration
+from tests.perception.lidar_scenes import LIDAR_CONFIG
 
 MOVING_M, WINDOW, PERIOD_NS = 0.01, 10, 190_000_000
 VOXEL_M, PER_VOXEL, KERNEL_M, MAX_POINTS, ITERATIONS, CONVERGENCE = 0.8, 8, 0.25, 500, 40, 0.001
@@ -54,10 +54,10 @@ def scans_of(log: Path, seconds: float, machine: str, implement: str) -> list[Sc
     """Scans of the odometry's lidar, 0.2 s apart."""
     vehicle = load(Vehicle, find("machines", machine))
     mounted = load(ImplementFile, find("implements", implement)).implement
-    config, lidar_config = localization(), perception().lidar
+    config = configuration()
     sensor = config.lidar_odometry.sensor
     lidar = vehicle.sensors.lidar[sensor]
-    pipeline = Pipeline(lidar, vehicle, None, lidar_config)
+    pipeline = Pipeline(lidar, vehicle, None, LIDAR_CONFIG)
     matching, margin_m = config.lidar_odometry.matching, config.lidar_odometry.margin_m
     points = ScanPreprocessor(lidar, vehicle.body, mounted, matching.range_m, margin_m, matching.voxel_m)
     odom, truth, waiting, out = PoseHistory(1e9), PoseHistory(1e9), list[LidarScan](), list[Scan]()
@@ -85,19 +85,9 @@ def scans_of(log: Path, seconds: float, machine: str, implement: str) -> list[Sc
     return out
 
 
-def localization() -> LocalizationConfig:
-    """Section `localization` of the stack."""
-    return parse(LocalizationConfig, read_yaml(CONFIGS / "stack/localization.yaml"), "stack/localization.yaml")
-
-
-def perception() -> PerceptionConfig:
-    """Section `perception` of the stack."""
-    return parse(PerceptionConfig, read_yaml(CONFIGS / "stack/perception.yaml"), "stack/perception.yaml")
-
-
 def surfaces(first: Scan, origin_m: Float64) -> Step:
     """The matcher of the stack."""
-    matcher = ScanMatcher(localization().lidar_odometry.matching, origin_m)
+    matcher = ScanMatcher(configuration().lidar_odometry.matching, origin_m)
     matcher.reset(level_of(first.T_odom_base))
 
     def step(points_m: Float64, guess: Float64) -> tuple[Float64, Float64 | None]:
@@ -140,19 +130,19 @@ def row(name: str, scans: list[Scan], step: Step, slip: float) -> str:
         began = time.thread_time()
         motion, sigma = step(scan.points_m, guess)
         spent_s += time.thread_time() - began
-        error = np.array([*(motion - true)[:2, 3], yaw_of(motion) - yaw_of(true), np.hypot(*true[:2, 3])])
+        error = np.array([*(motion - true)[:2, 3], np.hypot(*true[:2, 3])])
         errors.append(error)
         valid += sigma is not None
         if sigma is not None and np.isfinite(sigma).all():
             ratios.append(float(np.max(np.abs(error[:2]) / sigma)))
     e = np.array(errors)
-    moving, path = e[:, 3] > MOVING_M, np.cumsum(e[:, :2], axis=0)
+    moving, path = e[:, 2] > MOVING_M, np.cumsum(e[:, :2], axis=0)
     drift = np.linalg.norm(path[WINDOW:] - path[:-WINDOW], axis=1)
     along, across = (1e3 * float(np.sqrt(np.mean(e[moving, k] ** 2))) for k in (0, 1))
     return (
         f"| {name} | {len(scans)} | {100.0 * valid / len(e):.0f} % | {along:.1f}, {across:.1f} mm | "
         f"{max(ratios):.1f} | {1e3 * float(np.sqrt(np.mean(drift**2))):.0f}, {1e3 * float(np.max(drift)):.0f} mm | "
-        f"{np.hypot(*path[-1]):.2f} of {np.sum(e[:, 3]):.0f} m | {1e3 * spent_s / len(e):.2f} ms |"
+        f"{np.hypot(*path[-1]):.2f} of {np.sum(e[:, 2]):.0f} m | {1e3 * spent_s / len(e):.2f} ms |"
     )
 
 
@@ -166,7 +156,7 @@ def main() -> None:
     parser.add_argument("--implement", default="harrow_6m")
     given = parser.parse_args()
     lidars = load(Vehicle, find("machines", given.machine)).sensors.lidar
-    origin_m = lidars[localization().lidar_odometry.sensor].mount.T_base_sensor[:3, 3]
+    origin_m = lidars[configuration().lidar_odometry.sensor].mount.T_base_sensor[:3, 3]
     heads = (
         "log, matcher", "scans", "valid", "error along, across", "largest error / sigma", "2 s: rms, largest",
         "at the end", "a scan",

@@ -191,7 +191,7 @@ def _most_by_chance(image: RangeImage, pixels: Int64, memory: ScatterMemory | No
     two: bodies with gaps have more with one, and still more with two. A sample shows where all must be counted.
     """
     beams = image.rows, image.rank, image.elevation_rad, *_columns(image)
-    before = np.zeros_like(image.ranges_mm) if memory is None else memory.before(image.ranges_mm)
+    before = image.ranges_mm if memory is None else memory.before(image.ranges_mm)
     every, sigmas = max(1, len(pixels) // SAMPLE), SUGGESTIVE
     counts, fresh = np.zeros((2, 3, len(BANDS_M), SECTORS), np.int64)
     while True:

@@ -15,7 +15,7 @@ from configs.site import Shed
 from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
-from geometry.transforms import invert, planar, yaw_of
+from geometry.transforms import invert, yaw_of
 from localization.lidar.scan_matching import (
     UNOBSERVED,
     MatchLimits,
@@ -24,6 +24,7 @@ from localization.lidar.scan_matching import (
     rejection_of,
     rotated,
     rows_of,
+    shifted,
     thin,
 )
 from localization.lidar.scan_preprocessing import ScanPreprocessor
@@ -151,7 +152,7 @@ class LidarMap(Node):
         cfg, guess = self._config, np.array(Pose2.of(T_guess))
         pose, covariance, found = self._map.match(thin(points, cfg.max_points), guess)
         reason = rejection_of(pose - guess, covariance, found, cfg)
-        T = np.asarray(planar(pose[0] - guess[0], pose[1] - guess[1], 0.0) @ rotated(T_guess, pose[2] - guess[2]))
+        T = shifted(T_guess, pose - guess)
         return self._located(stamp_ns, T, covariance, reason, found)
 
     def _located(self, stamp_ns: int, T: Float64, covariance: Float64, reason: str, found: int) -> LidarLocalization:

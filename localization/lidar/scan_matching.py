@@ -86,6 +86,11 @@ def rotated(T: Float64, angle_rad: float) -> Float64:
     return np.asarray(out)
 
 
+def shifted(T: Float64, step: Float64) -> Float64:
+    """Pose after a step (x, y, yaw) in the map, turned at its own place."""
+    return np.asarray(planar(step[0], step[1], 0.0) @ rotated(T, step[2]))
+
+
 def in_body(covariance: Float64, unobserved: Float64, yaw_rad: float) -> Float64:
     """Covariance (6, 6), rotation and translation in the body, from that of (x, y, yaw) in the map."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -146,8 +151,8 @@ class ScanMatcher:
         pose, covariance, found = self._map.match(thin(rows, cfg.max_points), guess, min_scans)
         step = pose - guess
         reason = rejection_of(step, covariance, found, cfg)
-        T = T_guess if reason else planar(step[0], step[1], 0.0) @ rotated(T_guess, step[2])
-        return Match(np.asarray(T), in_body(covariance, UNOBSERVED, yaw_of(T)), reason, found)
+        T = T_guess if reason else shifted(T_guess, step)
+        return Match(T, in_body(covariance, UNOBSERVED, yaw_of(T)), reason, found)
 
     def _learn(self, rows: Float64) -> None:
         at_m, last_m = self.T_local_body[:2, 3].copy(), self._learned_m
