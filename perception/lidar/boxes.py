@@ -1,8 +1,9 @@
 """Upright bounding box of each cluster, its height, and the return nearest to the machine's front.
 
 Two visible sides of a vehicle form an L; the boxes of least area lie both along its sides and across its corner.
-The score of a box is therefore the closeness of the returns to its edges (Zhang et al., Efficient L-Shape Fitting,
-IV 2017) divided by its area, so that the box does not cover free ground.
+The score of a box is therefore the closeness of the sides that the lidar sees to its edges (after Zhang et al.,
+Efficient L-Shape Fitting, IV 2017) divided by its area, so that the box does not cover free ground. The sides are those
+of the convex hull that face the lidar: of sides that lean inwards most returns are away from the edges.
 """
 
 import math
@@ -18,7 +19,8 @@ DIRECTIONS = 16  # directions of the extreme returns; an error of 11° shortens 
 HALF = DIRECTIONS // 2
 MIN_SIZE_M = 0.05
 EDGE_M = 0.1  # distance below which a return lies on an edge
-MAX_RETURNS = 128  # of a cluster that enter the closeness
+SIDE_STEP_M = 0.05  # between points on the visible sides
+MAX_SIDE_POINTS = 256
 MIN_L_SHAPE_RETURNS = 30  # below it the box of least area is taken
 MAX_L_SHAPE_M = 10.0  # greatest length of a vehicle; above it the box of least area is taken
 
@@ -35,12 +37,18 @@ class Boxes:
 
 
 def fit_boxes(
-    clusters: Clusters, points_base_m: Float32, above_m: Float32, point_class: UInt8, front: tuple[float, float]
-) -> Boxes:
-    """Boxes in `base`; `nearest_m` is the return nearest to `front`, the machine's foremost x and half width."""
+    clusters: Clusters, points_base_m: Float32, above_m: Float32, point_class: UInt8, front: tuple[float, float],
+    origin_m: Float64,
+) -> Boxes:  # fmt: skip
+    """Boxes in `base`; `nearest_m` is the return nearest to `front`, the machine's foremost x and half width.
+
+    `origin_m` (2,): the lidar in `base`.
+    """
     k = len(clusters.offsets) - 1
     boxes = Boxes(np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k), np.zeros((k, 3)), np.zeros(k))
-    _fit_boxes(clusters.offsets, clusters.indices, points_base_m, boxes.center_m, boxes.size_m, boxes.yaw_rad)
+    _fit_boxes(
+        clusters.offsets, clusters.indices, points_base_m, origin_m, boxes.center_m, boxes.size_m, boxes.yaw_rad
+    )
     _nearest(
         clusters.offsets, clusters.indices, points_base_m, above_m, point_class, front[0], front[1],
         boxes.nearest_m, boxes.top_m,
@@ -49,13 +57,15 @@ def fit_boxes(
 
 
 @kernel
-def _fit_boxes(offsets: Int32, indices: Int32, points: Float32, center: Float64, size: Float64, yaw: Float64) -> None:
+def _fit_boxes(
+    offsets: Int32, indices: Int32, points: Float32, origin: Float64, center: Float64, size: Float64, yaw: Float64
+) -> None:
     """Best box over the directions of all edges between neighbouring extreme returns."""
     angle = np.arange(HALF) * (2.0 * math.pi / DIRECTIONS)
     cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
     lowest, highest = np.empty(HALF, np.float32), np.empty(HALF, np.float32)
     extreme = np.empty(DIRECTIONS, np.int32)
-    hull, sample = np.empty((DIRECTIONS, 2)), np.empty((MAX_RETURNS, 2))
+    hull = np.empty((DIRECTIONS, 2))
     for k in range(offsets.shape[0] - 1):
         z_low, z_high = np.inf, -np.inf
         lowest[:], highest[:] = np.inf, -np.inf
@@ -71,18 +81,14 @@ def _fit_boxes(offsets: Int32, indices: Int32, points: Float32, center: Float64,
                 extreme[d + HALF] = i if is_behind else extreme[d + HALF]
         for d in range(DIRECTIONS):
             hull[d, 0], hull[d, 1] = points[extreme[d], 0], points[extreme[d], 1]
-        count, n = offsets[k + 1] - offsets[k], 0
-        for j in range(0, count, 1 + (count - 1) // MAX_RETURNS):
-            i = indices[offsets[k] + j]
-            sample[n, 0], sample[n, 1] = points[i, 0], points[i, 1]
-            n += 1
-        _fit_box(hull, sample[:n], k, center, size, yaw)
+        has_sides = offsets[k + 1] - offsets[k] >= MIN_L_SHAPE_RETURNS and _width(hull) <= MAX_L_SHAPE_M
+        _fit_box(hull, _visible_sides(hull, origin) if has_sides else hull[:0], k, center, size, yaw)
         center[k, 2], size[k, 2] = (z_low + z_high) / 2.0, max(z_high - z_low, MIN_SIZE_M)
 
 
 @kernel
-def _fit_box(hull: Float64, sample: Float64, k: int, center: Float64, size: Float64, yaw: Float64) -> None:
-    """Box `k` about the convex hull with `sample` (N, 2) of the returns."""
+def _fit_box(hull: Float64, sides: Float64, k: int, center: Float64, size: Float64, yaw: Float64) -> None:
+    """Box `k` about the convex hull, by points (N, 2) on its visible sides; of least area without them."""
     axis, low, high = np.empty((2, DIRECTIONS)), np.empty((2, DIRECTIONS)), np.empty((2, DIRECTIONS))
     for d in range(DIRECTIONS):
         e = (d + 1) % DIRECTIONS
@@ -98,8 +104,7 @@ def _fit_box(hull: Float64, sample: Float64, k: int, center: Float64, size: Floa
             u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
         axis[0, d], axis[1, d] = c, s
         low[0, d], low[1, d], high[0, d], high[1, d] = u0, v0, u1, v1
-    has_sides = sample.shape[0] >= MIN_L_SHAPE_RETURNS and _width(hull) <= MAX_L_SHAPE_M
-    score = _closeness(sample, axis, low, high) if has_sides else np.ones(DIRECTIONS)
+    score = _closeness(sides, axis, low, high) if len(sides) else np.ones(DIRECTIONS)
     best = 0.0
     for d in range(DIRECTIONS):
         du, dv = max(high[0, d] - low[0, d], MIN_SIZE_M), max(high[1, d] - low[1, d], MIN_SIZE_M)
@@ -123,11 +128,27 @@ def _width(hull: Float64) -> float:
 
 
 @kernel
-def _closeness(sample: Float64, axis: Float64, low: Float64, high: Float64) -> Float64:
-    """Sum over returns of 1 / distance to the nearest edge, for each box (16,) given by axis and corners."""
+def _visible_sides(hull: Float64, origin: Float64) -> Float64:
+    """Points (N, 2) on the sides of the convex hull, counter-clockwise, that face the lidar at `origin`."""
+    points, n = np.empty((MAX_SIDE_POINTS, 2)), 0
+    for d in range(DIRECTIONS):
+        e = (d + 1) % DIRECTIONS
+        ex, ey = hull[e, 0] - hull[d, 0], hull[e, 1] - hull[d, 1]
+        if ey * (origin[0] - hull[d, 0]) - ex * (origin[1] - hull[d, 1]) <= 0.0:
+            continue
+        steps = math.ceil(math.hypot(ex, ey) / SIDE_STEP_M)
+        for j in range(min(steps, MAX_SIDE_POINTS - n)):
+            points[n, 0], points[n, 1] = hull[d, 0] + j / steps * ex, hull[d, 1] + j / steps * ey
+            n += 1
+    return points[:n]
+
+
+@kernel
+def _closeness(sides: Float64, axis: Float64, low: Float64, high: Float64) -> Float64:
+    """Sum over points (N, 2) of 1 / distance to the nearest edge, for each box (16,) given by axis and corners."""
     total = np.zeros(DIRECTIONS)
-    for i in range(sample.shape[0]):
-        x, y = sample[i, 0], sample[i, 1]
+    for i in range(sides.shape[0]):
+        x, y = sides[i, 0], sides[i, 1]
         # inner loop over boxes: vectorized
         for d in range(DIRECTIONS):
             u, v = axis[0, d] * x + axis[1, d] * y, -axis[1, d] * x + axis[0, d] * y

@@ -182,7 +182,7 @@ class Pipeline:
     def _obstacles(
         self, stamp_ns: int, sensor: str, found: Clusters, points: Float32, ground: Ground, point_class: UInt8
     ) -> Obstacles:
-        boxes = fit_boxes(found, points, ground.height_m, point_class, self._front)
+        boxes = fit_boxes(found, points, ground.height_m, point_class, self._front, self._center)
         limits, counts = self.config.clusters, np.diff(found.offsets)
         expected = expected_points(self._beams, boxes.center_m, boxes.size_m, boxes.yaw_rad)
         filled = (counts >= limits.min_fill * expected) | (counts >= limits.sufficient_returns)

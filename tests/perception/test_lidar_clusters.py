@@ -69,12 +69,13 @@ def test_select_preserves_indices():
     assert members(kept) == [members(found)[0], members(found)[2]]
 
 
-def one(points, above=None, front=(3.5, 1.15)):
+def one(points, above=None, front=(3.5, 1.15), origin=(0.0, 0.0)):
     points = np.asarray(points, np.float32)
     n = len(points)
     above = points[:, 2].copy() if above is None else np.asarray(above, np.float32)
     clusters = Clusters(np.array([0, n], np.int32), np.arange(n, dtype=np.int32))
-    return fit_boxes(clusters, points, above, np.where(above >= 0.15, 2, 1).astype(np.uint8), front)
+    classes = np.where(above >= 0.15, 2, 1).astype(np.uint8)
+    return fit_boxes(clusters, points, above, classes, front, np.array(origin))
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
@@ -102,10 +103,27 @@ def test_box_of_l_shape(turn_deg, sign):
     turn, v = np.radians(turn_deg), sign * v
     c, s = np.cos(turn), np.sin(turn)
     points = np.column_stack([10.0 + c * u - s * v, 3.0 + s * u + c * v, np.full(260, 0.5)])
-    boxes = one((points + rng.normal(0.0, 0.02, points.shape)).astype(np.float32))
+    lidar = 10.0 + c * 8.0 - s * sign * 8.0, 3.0 + s * 8.0 + c * sign * 8.0
+    boxes = one((points + rng.normal(0.0, 0.02, points.shape)).astype(np.float32), origin=lidar)
     apart = (boxes.yaw_rad[0] - turn + np.pi / 2) % np.pi - np.pi / 2
     assert abs(np.degrees(apart)) < 4.0
     assert boxes.size_m[0, :2] == pytest.approx([4.0, 1.6], abs=0.3)
+
+
+@pytest.mark.parametrize("turn_deg", range(-40, 50, 10))
+def test_box_of_body_with_leaning_sides(turn_deg):
+    """A car narrows to its roof: most returns of its sides are away from the edges of its box."""
+    rng = np.random.default_rng(50 + turn_deg)
+    along, across = rng.uniform(-2.0, 2.0, 700), rng.uniform(-0.8, 0.8, 300)
+    z, lean = rng.uniform(0.2, 1.6, 1000), 0.35
+    u = np.r_[along * (1.0 - 0.2 * z[:700]), 2.0 - lean * z[700:]]
+    v = np.r_[0.8 - lean * z[:700], across * (1.0 - 0.4 * z[700:])]
+    turn = np.radians(turn_deg)
+    c, s = np.cos(turn), np.sin(turn)
+    points = np.column_stack([10.0 + c * u - s * v, 3.0 + s * u + c * v, z])
+    boxes = one(points + rng.normal(0.0, 0.02, points.shape), origin=(10.0 + c * 6.0 - s * 7.0, 3.0 + s * 6.0 + c * 7.0))
+    apart = (boxes.yaw_rad[0] - turn + np.pi / 2) % np.pi - np.pi / 2
+    assert abs(np.degrees(apart)) < 6.0
 
 
 def test_box_of_single_return():
