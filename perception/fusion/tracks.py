@@ -20,6 +20,7 @@ MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, O
 UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 GATED_COST = 1e9
+FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
 
 
 class TrackerConfig(Config):
@@ -250,9 +251,18 @@ def merge_fragments(
         config.fragments,
     )  # fmt: skip
     found[parents.row, np.arange(len(parents.row))] = False
+    _keep_older(found, table, parents)
     fragment, parent = np.nonzero(found)
     np.bitwise_or.at(table.sensors, parents.row[parent], table.sensors[fragment])
     return np.flatnonzero(~found.any(axis=1)).astype(np.int64)
+
+
+def _keep_older(found: Bool, table: TrackTable, parents: ParentTracks) -> None:
+    """Exchanges, in place, fragment and parent where a new track took the detections of an older vehicle."""
+    between, first, length = found[parents.row], table.first_ns[parents.row], parents.size_m[:, 0]
+    is_alike = parents.is_vehicle[:, None] & (length[:, None] >= FRAGMENT_LENGTH_RATIO * length)
+    is_older = between & is_alike & (first[:, None] < first)
+    found[parents.row] = between & ~is_older | is_older.T
 
 
 def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float64]:

@@ -8,9 +8,8 @@ from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.static_occupancy import StaticOccupancy
-from perception.fusion.tracks import TrackerConfig, TrackTable, is_moving, is_of, nanoseconds
+from perception.fusion.tracks import FRAGMENT_LENGTH_RATIO, TrackerConfig, TrackTable, is_moving, is_of, nanoseconds
 
-FRAGMENT_LENGTH_RATIO = 0.6  # a shorter detection of a vehicle is a fragment of it
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
 UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped

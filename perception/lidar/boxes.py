@@ -46,9 +46,7 @@ def fit_boxes(
     """
     k = len(clusters.offsets) - 1
     boxes = Boxes(np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k), np.zeros((k, 3)), np.zeros(k))
-    _fit_boxes(
-        clusters.offsets, clusters.indices, points_base_m, origin_m, boxes.center_m, boxes.size_m, boxes.yaw_rad
-    )
+    _fit_boxes(clusters.offsets, clusters.indices, points_base_m, origin_m, boxes.center_m, boxes.size_m, boxes.yaw_rad)
     _nearest(
         clusters.offsets, clusters.indices, points_base_m, above_m, point_class, front[0], front[1],
         boxes.nearest_m, boxes.top_m,

@@ -199,6 +199,23 @@ def test_vehicle_fragments_and_person_leaving_vehicle():
     assert sum(x.is_confirmed for x in published[-1][1].tracks) == 2
 
 
+def test_vehicle_keeps_its_track_beside_a_new_one():
+    """Echoes beside a car begin a track that its next detection is nearer to; the car is still the same object."""
+
+    def make(i, stamp):
+        messages = []
+        if 104 <= i < 120 and i % 2:
+            messages.append(detected("radar", stamp, [[9.0, 0.9]], sigma=(0.15, 0.15), velocity=(1.5, -1.5)))
+        if i % 10 == 0:
+            place, length, yaw = ([8.0, 0.0], 3.9, 0.0) if i < 120 else ([8.6, 0.7], 4.1, 0.25)
+            scores = shape(ObstacleClass.VEHICLE)
+            messages.append(detected("lidar", stamp, [place], (length, 1.8, 1.5), scores=scores, returns=300, yaw=yaw))
+        return messages
+
+    published = run(make, 2.0)
+    assert {x.id for t, tracks in published if t > 1.25 for x in tracks.tracks} == {1}
+
+
 def _with(a, b):
     def both(name):
         return np.concatenate([getattr(a, name), getattr(b, name)])

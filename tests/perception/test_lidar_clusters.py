@@ -121,7 +121,8 @@ def test_box_of_body_with_leaning_sides(turn_deg):
     turn = np.radians(turn_deg)
     c, s = np.cos(turn), np.sin(turn)
     points = np.column_stack([10.0 + c * u - s * v, 3.0 + s * u + c * v, z])
-    boxes = one(points + rng.normal(0.0, 0.02, points.shape), origin=(10.0 + c * 6.0 - s * 7.0, 3.0 + s * 6.0 + c * 7.0))
+    lidar = 10.0 + c * 6.0 - s * 7.0, 3.0 + s * 6.0 + c * 7.0
+    boxes = one(points + rng.normal(0.0, 0.02, points.shape), origin=lidar)
     apart = (boxes.yaw_rad[0] - turn + np.pi / 2) % np.pi - np.pi / 2
     assert abs(np.degrees(apart)) < 6.0
 
