@@ -265,10 +265,11 @@ def _uncovered(
     missed = free.difference(area)
     narrow = narrow_parts(free, complete.margin_m, rig.width_m)
     elsewhere = missed.difference(narrow)
+    inner = MultiPolygon(parts(elsewhere.difference(rim), 0.0))  # GEOS fails where lines and points remain
     shapes = {
         EDGE_MARGIN: elsewhere.intersection(rim),
-        GUIDANCE_BEND: elsewhere.difference(rim).intersection(bends),
-        TIGHT_CORNER: elsewhere.difference(rim).difference(bends),
+        GUIDANCE_BEND: inner.intersection(bends),
+        TIGHT_CORNER: inner.difference(bends),
         NARROW_PART: missed.intersection(narrow),
         NARROW_PASSAGE: complete.free.difference(free).difference(area),
     }
