@@ -21,6 +21,7 @@ from perception.fusion.tracks import (
     empty_table,
     extend_lifetime,
     is_moving_class,
+    is_rail,
     is_upright,
     match,
     merge_fragments,
@@ -110,7 +111,7 @@ class Tracker(Node):
         t = self._table
         velocity, covariance = velocities(t, self._config)
         is_static = self._static_occupancy.contradicts_motion(t.x, velocity, t.size_m, self._stamp_ns)
-        velocity[is_static & ~is_moving_class(t.class_evidence)] = 0.0
+        velocity[is_static & (~is_moving_class(t.class_evidence) | is_rail(t.size_m, t.class_evidence))] = 0.0
         label, confidence = classify(t, velocity)
         velocity[is_upright(t.size_m, label)] = 0.0
         # a track without confirmed motion stays at its last detection: its uncertain speed does not move it

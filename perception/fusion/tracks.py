@@ -19,6 +19,7 @@ CLASSES = tuple(ObstacleClass)
 MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
 UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
+RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 GATED_COST = 1e9
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
 
@@ -281,6 +282,12 @@ def is_moving(x: Float64, P: Float64, config: TrackerConfig) -> Bool:
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
     d2 = (c * v[:, 0] ** 2 - 2.0 * b * v[:, 0] * v[:, 1] + a * v[:, 1] ** 2) / (a * c - b * b)
     return np.asarray(d2 >= config.moving_sigma**2)
+
+
+def is_rail(size_m: Float64, class_evidence: Float64) -> Bool:
+    """Which tracks (T,), by class no vehicles, are as thin as a piece of fence: it moves with the rings on it."""
+    is_thin = (size_m[:, 0] >= RAIL_M) & (size_m[:, 1] <= RAIL_RATIO * size_m[:, 0])
+    return np.asarray(is_thin & ~is_of(class_evidence, VEHICLE))
 
 
 def is_upright(size_m: Float64, label: Int64) -> Bool:

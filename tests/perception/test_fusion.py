@@ -216,6 +216,22 @@ def test_vehicle_keeps_its_track_beside_a_new_one():
     assert {x.id for t, tracks in published if t > 1.25 for x in tracks.tracks} == {1}
 
 
+@pytest.mark.parametrize("size, moves", [((0.97, 0.05, 0.13), False), ((0.5, 0.3, 1.7), True)])
+def test_piece_of_fence_does_not_move_along_it(size, moves):
+    """Rings show other pieces of a fence as the machine drives; a person who walks along it moves."""
+
+    def make(i, stamp):
+        if i % 10:
+            return []
+        fence = detected("lidar", stamp, [[5.0, 4.2]], (24.0, 0.3, 1.2), returns=3000)
+        piece = [[-4.0 + 0.016 * i, 4.2 if size[1] < 0.1 else 3.7]]
+        return [_with(fence, detected("lidar", stamp, piece, size, scores=shape(ObstacleClass.PERSON), returns=30))]
+
+    seen = [x for t, tracks in run(make, 4.0) if t > 2.0 for x in tracks.tracks if x.size_m[0] < 2.0]
+    assert len(seen) > 15
+    assert (max(np.hypot(*x.velocity_mps) for x in seen) > 1.0) == moves
+
+
 def _with(a, b):
     def both(name):
         return np.concatenate([getattr(a, name), getattr(b, name)])
