@@ -50,8 +50,8 @@ class Detections:
     """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
 
     Without bearing, as of echoes, they show no motion: plants and walls seem to go along with the machine.
-    `static_share` (K,) is the share of long-occupied cells; `velocity_mps` (K, 2) and `body_length_m` (K,), the length
-    of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
+    `max_speed_mps` (K,) is the bound from long-occupied cells, or infinite; `velocity_mps` (K, 2) and `body_length_m`
+    (K,), the length of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
     `class_log_scores` (K, 8) that of the classes.
     """
 
@@ -68,7 +68,7 @@ class Detections:
     body_length_m: Float64
     evidence: Float64
     class_log_scores: Float64
-    static_share: Float64
+    max_speed_mps: Float64
 
 
 def to_odom(
@@ -94,7 +94,9 @@ def to_odom(
         obstacles.size_m, (yaws + np.pi / 2) % np.pi - np.pi / 2,
         obstacles.velocity_mps @ np.array([[c, s], [-s, c]]), body if is_camera else np.full(len(yaws), np.nan),
         evidence_of(obstacles, kind, is_lidar), np.log(np.maximum(obstacles.class_scores, 0.01)),
-        static_occupancy.observe(points.astype(np.float32), obstacles.offsets, obstacles.stamp_ns),
+        static_occupancy.observe(
+            points.astype(np.float32), obstacles.offsets, obstacles.size_m[:, 0], obstacles.stamp_ns
+        ),
     )  # fmt: skip
 
 

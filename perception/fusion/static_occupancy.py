@@ -2,7 +2,7 @@
 
 The centre of the visible part of a wall moves along the wall, so a track alone would show a speed; the occupied cells
 do not move. Of a body of length L at speed v only a share of 1 - v T / L of the cells is occupied for longer than T,
-which bounds the speed.
+which bounds the speed. A compact body may have set off since: of such T is the age of the oldest of its other cells.
 """
 
 import math
@@ -25,6 +25,8 @@ class StaticOccupancyConfig(Config):
     gap_s: float = Field(gt=0.0, le=5.0)
     body_length_m: float = Field(gt=0.0, le=50.0, description="greatest length of a moving body in the speed bound")
     structure_length_m: float = Field(gt=0.0, le=100.0, description="longer objects are walls, hedges or fences")
+    compact_length_m: float = Field(ge=0.0, le=10.0, description="greatest length of a body that may have set off")
+    set_off_s: float = Field(gt=0.0, le=5.0, description="least time since a compact body set off")
     speed_margin_mps: float = Field(ge=0.0, le=2.0)
     trail_s: float = Field(gt=0.0, le=5.0, description="the path of this time behind a moving body must be empty")
     trail_share: float = Field(gt=0.0, le=1.0, description="occupied share of that path which contradicts motion")
@@ -41,21 +43,17 @@ class StaticOccupancy:
         self._mark = np.full(WIDTH * WIDTH, -1, np.int64)
         self._marks = 0
 
-    def observe(self, points_odom_m: Float32, offsets: Int32, stamp_ns: int) -> Float64:
-        """Share (K,) of each cluster's cells occupied for longer than `settle_s`; stores the scan."""
-        share = np.zeros(len(offsets) - 1)
-        c = self._config
-        self._marks += len(share)
+    def observe(self, points_odom_m: Float32, offsets: Int32, length_m: Float64, stamp_ns: int) -> Float64:
+        """Upper bound of speed (K,) of clusters of a length (K,), infinite when most cells are new; stores the scan."""
+        n, c = len(offsets) - 1, self._config
+        share, new_s = np.zeros(n), np.zeros(n)
+        self._marks += n
         _observe(
             points_odom_m, offsets, stamp_ns, c.cell_m, round(c.settle_s * 1e9), round(c.gap_s * 1e9), self._marks,
-            self._key, self._since_ns, self._last_ns, self._mark, share,
+            self._key, self._since_ns, self._last_ns, self._mark, share, new_s,
         )  # fmt: skip
-        return share
-
-    def max_speed(self, share: Float64, length_m: Float64) -> Float64:
-        """Upper bound of speed (K,) from the share of long-occupied cells; infinite when most cells are new."""
-        c = self._config
-        bound = (1.0 - share) * np.minimum(length_m, c.body_length_m) / c.settle_s + c.speed_margin_mps
+        time_s = np.where(length_m <= c.compact_length_m, np.maximum(new_s, c.set_off_s), c.settle_s)
+        bound = (1.0 - share) * np.minimum(length_m, c.body_length_m) / time_s + c.speed_margin_mps
         bound = np.where(length_m > c.structure_length_m, 0.0, bound)
         return np.where(share >= 0.5, bound, np.inf)
 
@@ -91,8 +89,9 @@ def _cell(x: float, y: float, cell_m: float) -> tuple[int, int]:
 @kernel
 def _observe(
     points: Float32, offsets: Int32, stamp_ns: int, cell_m: float, settle_ns: int, gap_ns: int, mark: int,
-    key: Int64, since: Int64, last: Int64, marked: Int64, share: Float64,
+    key: Int64, since: Int64, last: Int64, marked: Int64, share: Float64, new_s: Float64,
 ) -> None:  # fmt: skip
+    """Share (K,) of the cells occupied for longer than `settle_ns`, and age (K,) of the oldest of the others."""
     for k in range(share.shape[0]):
         cells = old = 0
         for i in range(offsets[k], offsets[k + 1]):
@@ -106,6 +105,8 @@ def _observe(
             cells += 1
             if stamp_ns - since[c] >= settle_ns:
                 old += 1
+            else:
+                new_s[k] = max(new_s[k], (stamp_ns - since[c]) * 1e-9)
         if cells > 0:
             share[k] = old / cells
 

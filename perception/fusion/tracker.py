@@ -87,7 +87,7 @@ class Tracker(Node):
         self._stamp_ns = max(self._stamp_ns, message.stamp_ns)
         tracks, rows = match(table, detections, config)
         if len(tracks):
-            update(table, tracks, detections, rows, self._static_occupancy, self._lidars, config)
+            update(table, tracks, detections, rows, self._lidars, config)
         penalize_misses(table, self._missed(tracks, sensor), detections.kind, config)
         confirm(table, config)
         extend_lifetime(table, tracks, detections)

@@ -100,7 +100,7 @@ def warm(config: TrackerConfig) -> None:
     static_occupancy = StaticOccupancy(config.static_occupancy)
     offsets = np.array([0, 1], np.int32)
     offsets.flags.writeable = False  # as in messages: kernels are compiled per array type
-    static_occupancy.observe(np.zeros((1, 3), np.float32), offsets, 0)
+    static_occupancy.observe(np.zeros((1, 3), np.float32), offsets, np.ones(1), 0)
     table = empty_table()
     static_occupancy.contradicts_motion(table.x, velocities(table, config)[0], table.size_m, 0)
     merge_fragments(table, parent_tracks(table, 0, config), 0, 0, config)

@@ -7,7 +7,6 @@ from perception.fusion.detections import Detections
 from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
-from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import FRAGMENT_LENGTH_RATIO, TrackerConfig, TrackTable, is_moving, is_of, nanoseconds
 
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
@@ -21,7 +20,6 @@ def update(
     tracks: Int64,
     detections: Detections,
     rows: Int64,
-    static_occupancy: StaticOccupancy,
     lidars: int,
     config: TrackerConfig,
 ) -> None:
@@ -42,7 +40,7 @@ def update(
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
     correct(x, P, z, R, 0)
-    _correct_velocity(x, P, detections, rows, static_occupancy, config)
+    _correct_velocity(x, P, detections, rows, config)
     table.x[tracks], table.P[tracks] = x, P
     if detections.has_bearing:
         _confirm_motion(table, tracks, z, detections.stamp_ns, config)
@@ -124,25 +122,21 @@ def _reset_velocity(
     P[was_lost, 2:, 2:] = np.eye(2) * config.initial_speed_sigma_mps**2
 
 
-def _correct_velocity(
-    x: Float64,
-    P: Float64,
-    detections: Detections,
-    rows: Int64,
-    static_occupancy: StaticOccupancy,
-    config: TrackerConfig,
-) -> None:
-    """Corrects velocity, in place, by the measured one or by the bound from long-occupied cells."""
+def _correct_velocity(x: Float64, P: Float64, detections: Detections, rows: Int64, config: TrackerConfig) -> None:
+    """Corrects velocity, in place, by the measured one or by the bound from long-occupied cells.
+
+    A bound far above 0, as of a body that has just set off, says little about the velocity.
+    """
     speed = np.hypot(x[:, 2], x[:, 3])
-    bound = static_occupancy.max_speed(detections.static_share[rows], detections.size_m[rows, 0])
+    bound = detections.max_speed_mps[rows]
     allowed = x[:, 2:] * np.minimum(1.0, bound / np.maximum(speed, 1e-9))[:, None]
     velocity = detections.velocity_mps[rows]
     measured = np.isfinite(velocity).all(axis=1)
     for which, z, sigma in (
-        (measured, velocity, config.velocity_sigma_mps),
-        (~measured & np.isfinite(bound), allowed, config.static_sigma_mps),
+        (measured, velocity, np.full(len(x), config.velocity_sigma_mps)),
+        (~measured & np.isfinite(bound), allowed, np.maximum(bound, config.static_sigma_mps)),
     ):
         if which.any():
             xs, Ps = x[which], P[which]
-            correct(xs, Ps, z[which], np.eye(2) * sigma**2, 2)
+            correct(xs, Ps, z[which], np.eye(2) * (sigma[which] ** 2)[:, None, None], 2)
             x[which], P[which] = xs, Ps
