@@ -20,6 +20,7 @@ MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, O
 UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 GATED_COST = 1e9
+EQUAL = 0.05  # difference of log scores
 
 
 class TrackerConfig(Config):
@@ -200,6 +201,17 @@ def is_of(class_evidence: Float64, label: int) -> Bool:
     return np.asarray(class_evidence.argmax(axis=1) == label) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
+def may_be(class_evidence: Float64, label: int) -> Bool:
+    """Whether no class is more likely than the one with index `label`, (T,), from class evidence (T, 8)."""
+    return np.asarray(class_evidence[:, label] >= class_evidence.max(axis=1, initial=-np.inf))
+
+
+def is_body(class_evidence: Float64) -> Bool:
+    """Which (T,) are bodies separated from something larger, a person or unknown; from class evidence (T, 8)."""
+    pair = class_evidence[:, [UNKNOWN, PERSON]]
+    return np.asarray(pair.min(axis=1) >= class_evidence.max(axis=1, initial=-np.inf) - EQUAL)
+
+
 def is_moving_class(class_evidence: Float64) -> Bool:
     """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 8)."""
     return np.asarray(MOVING_CLASSES[class_evidence.argmax(axis=1)]) if len(class_evidence) else np.zeros(0, np.bool_)
@@ -232,8 +244,8 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON), parents,
-        config.fragments,
+        np.full(len(rows), detections.is_lidar), may_be(detections.class_log_scores[rows], PERSON),
+        is_body(detections.class_log_scores[rows]), parents, config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
 
@@ -246,7 +258,8 @@ def merge_fragments(
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     is_lidar = measured_by_lidar(table, lidars, config)
     found = is_fragment(
-        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON), parents,
+        table.x, table.P, velocity, body, table.size_m, is_lidar, may_be(table.class_evidence, PERSON),
+        is_body(table.class_evidence), parents,
         config.fragments,
     )  # fmt: skip
     found[parents.row, np.arange(len(parents.row))] = False

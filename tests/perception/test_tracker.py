@@ -251,7 +251,7 @@ def test_class_by_shape_and_speed():
     ],
 )  # fmt: skip
 def test_cyclist_is_a_person(size_m, speed_mps, is_person):
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool))
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
     scans = [
         replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.9]], sizes=size_m), class_scores=scores)
         for t in stamps(10, 2.0)
