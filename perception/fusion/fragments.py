@@ -38,7 +38,7 @@ def is_fragment(
 
     Only the first two columns of the positions `p_m` (K, ..) and the first block of their covariances `S` are used;
     `velocity_mps` (K, 2) and `body_length_m` (K,) are NaN where unknown; `is_lidar` (K,) selects the rule;
-    `is_person` (K,): no class is more likely; `is_body` (K,): it was separated from something larger.
+    `is_person` (K,): that is the most likely class; `is_body` (K,): it was separated from something larger.
     """
     found = np.empty((len(p_m), len(parents.row)), np.bool_)
     _find_fragments(

@@ -201,11 +201,6 @@ def is_of(class_evidence: Float64, label: int) -> Bool:
     return np.asarray(class_evidence.argmax(axis=1) == label) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
-def may_be(class_evidence: Float64, label: int) -> Bool:
-    """Whether no class is more likely than the one with index `label`, (T,), from class evidence (T, 8)."""
-    return np.asarray(class_evidence[:, label] >= class_evidence.max(axis=1, initial=-np.inf))
-
-
 def is_body(class_evidence: Float64) -> Bool:
     """Which (T,) are bodies separated from something larger, a person or unknown; from class evidence (T, 8)."""
     pair = class_evidence[:, [UNKNOWN, PERSON]]
@@ -244,7 +239,7 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), may_be(detections.class_log_scores[rows], PERSON),
+        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON),
         is_body(detections.class_log_scores[rows]), parents, config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
@@ -258,7 +253,7 @@ def merge_fragments(
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     is_lidar = measured_by_lidar(table, lidars, config)
     found = is_fragment(
-        table.x, table.P, velocity, body, table.size_m, is_lidar, may_be(table.class_evidence, PERSON),
+        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON),
         is_body(table.class_evidence), parents,
         config.fragments,
     )  # fmt: skip
