@@ -116,8 +116,8 @@ def empty_table() -> TrackTable:
     )  # fmt: skip
 
 
-def start_tracks(detections: Detections, rows: Int64, first_id: int, config: TrackerConfig) -> TrackTable:
-    """New tracks from unmatched detections."""
+def start_states(detections: Detections, rows: Int64, config: TrackerConfig) -> tuple[Float64, Float64]:
+    """State (n, 4) and covariance (n, 4, 4) of tracks that start with these detections."""
     n = len(rows)
     x, P = np.zeros((n, 4)), np.zeros((n, 4, 4))
     x[:, :2], P[:, :2, :2] = detections.p_m[rows, :2], detections.R[rows]
@@ -125,6 +125,13 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
     x[measured, 2:] = detections.velocity_mps[rows][measured]
     sigma = np.where(measured, config.velocity_sigma_mps, config.initial_speed_sigma_mps)
     P[:, 2, 2] = P[:, 3, 3] = sigma**2
+    return x, P
+
+
+def start_tracks(detections: Detections, rows: Int64, first_id: int, config: TrackerConfig) -> TrackTable:
+    """New tracks from unmatched detections."""
+    n = len(rows)
+    x, P = start_states(detections, rows, config)
     stamp = np.full(n, detections.stamp_ns, np.int64)
     recent_ns, recent_m = np.zeros((n, KEPT), np.int64), np.zeros((n, KEPT, 2))
     if detections.is_lidar:
