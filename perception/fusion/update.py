@@ -54,6 +54,7 @@ def update(
     correct(x, P, z, R, 0)
     if restarts.any():
         x[restarts], P[restarts] = start_states(detections, rows[restarts], config)
+        P[restarts & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
         table.moving_since_ns[tracks[restarts]] = table.recent_ns[tracks[restarts]] = 0
     _correct_velocity(x, P, detections, rows, static_occupancy, config)
     table.x[tracks], table.P[tracks] = x, P
