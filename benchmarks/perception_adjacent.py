@@ -1,10 +1,11 @@
-"""Benchmark of segmentation: persons close to a wall, a car or a hedge, inserted in KITTI scans and ray-cast.
+"""Benchmark of segmentation: persons close to a wall, car, hedge or person, inserted in KITTI scans and ray-cast.
 
     ./headland benchmark perception_adjacent [--trials 60] [--gaps 0.2 0.3 0.4 0.5]
 
 A person stands 5 to 20 m away in front of the structure or beside its end, in four scans at 10 Hz. Own: at the end a
 confirmed track about the person is no longer than 1.5 m. Possibly: the track that holds its returns is a person or of
-unknown class. Persons are returns of pedestrians of the recording, or cast like the structure: a body of cylinders.
+unknown class. Scenes in which other things hide the person (fewer than 10 returns) are drawn again. Persons are returns
+of pedestrians of the recording, or cast like the structure: a body of cylinders.
 """
 
 import argparse
@@ -35,6 +36,7 @@ from geometry.arrays import Float32, Float64
 from messages.perception import ObstacleClass, Tracks
 
 SCANS, NOISE_M = 4, 0.02
+MIN_RETURNS = 10  # of a person who is not hidden
 LONGEST_M = 1.5
 RANGE_M = (5.0, 20.0)
 POSSIBLY = (ObstacleClass.PERSON, ObstacleClass.UNKNOWN, ObstacleClass.ANIMAL)
@@ -43,7 +45,9 @@ Boxes = tuple[tuple[tuple[float, float], ...], ...]
 WALL: Boxes = (((-0.2, 0.0), (-3.0, 3.0), (0.0, 2.2)),)
 CAR: Boxes = (((-1.75, 0.0), (-2.15, 2.15), (0.25, 0.85)), ((-1.65, -0.15), (-1.2, 1.0), (0.85, 1.45)))
 HEDGE: Boxes = (((-0.9, 0.0), (-3.0, 3.0), (0.0, 1.6)),)
-STRUCTURES = {"wall": (WALL, 0.0), "car": (CAR, 0.0), "hedge": (HEDGE, 0.12)}  # boxes, mean depth of a return
+OTHER: Boxes = (((-0.3, 0.0), (-0.25, 0.25), (0.0, 1.4)), ((-0.25, -0.05), (-0.1, 0.1), (1.4, 1.7)))
+# boxes, mean depth of a return
+STRUCTURES = {"wall": (WALL, 0.0), "car": (CAR, 0.0), "hedge": (HEDGE, 0.12), "person": (OTHER, 0.0)}
 # cylinders of a person: place across (m), from and to height, radius
 BODY = ((-0.1, 0.0, 0.85, 0.08), (0.1, 0.0, 0.85, 0.08), (0.0, 0.8, 1.45, 0.2), (0.0, 1.48, 1.75, 0.1))
 
@@ -125,8 +129,11 @@ def level_scene(lidar: Lidar, rng: np.random.Generator) -> Scene:
 
 def scans_of(
     scene: Scene, structure: str, gap_m: float, is_cut: bool, rng: np.random.Generator
-) -> tuple[list[Float32], Float64]:
-    """Four scans, and the place of the person; it stands before the face or, one time in three, beside its end."""
+) -> tuple[list[Float32], Float64] | None:
+    """Four scans, and the place of the person, who stands before the face or, one time in three, beside its end.
+
+    None: something hides the person.
+    """
     boxes, depth_m = STRUCTURES[structure]
     end_m = max(high for _, (_, high), _ in boxes)
     pedestrians = [cut for cut in cuts() if cut.name == "Pedestrian"]
@@ -149,6 +156,8 @@ def scans_of(
             kept = rng.random(len(cut.points_m)) < (cut.seen_m / away) ** 2
             own = np.column_stack([level[kept] + place[:2], cut.points_m[kept, 2] + place[2]])
             ranges = np.where(body < ranges, np.inf, ranges)
+        if (len(own) if is_cut else (body < ranges).sum()) < MIN_RETURNS:
+            return None
         ranges = ranges if is_cut else np.minimum(ranges, body)
         seen = ranges < sensor().range_m[1]
         points = scene.directions[seen] * (ranges[seen] + rng.normal(0.0, NOISE_M, seen.sum()))[:, None]
@@ -190,6 +199,7 @@ def main() -> None:
         "recorded scan, cast person": (kitti_scene, False),
         "cast": (lambda rng: level_scene(sensor(), rng), False),
     }
+    total: Counter[str] = Counter()
     for kind, (make, is_cut) in makers.items():
         for structure in STRUCTURES:
             for gap in options.gaps:
@@ -197,8 +207,10 @@ def main() -> None:
                 found: Counter[str] = Counter()
                 while found.total() < options.trials:
                     scene = make(rng)
-                    if scene is not None:
-                        found[outcome(*scans_of(scene, structure, gap, is_cut, rng))] += 1
+                    seen = None if scene is None else scans_of(scene, structure, gap, is_cut, rng)
+                    if seen is not None:
+                        found[outcome(*seen)] += 1
+                total += found
                 rest = ", ".join(f"{name} {n}" for name, n in found.most_common() if name not in ("own", "possibly"))
                 n = found.total()
                 sys.stdout.write(
@@ -206,6 +218,7 @@ def main() -> None:
                     f"of {n}   {rest}\n"
                 )
                 sys.stdout.flush()
+    sys.stdout.write(f"all: own {total['own']}, possibly {total['possibly']} of {total.total()}\n")
 
 
 if __name__ == "__main__":

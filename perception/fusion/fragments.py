@@ -1,7 +1,8 @@
 """Fragments: detections and tracks that belong to the box of an existing track and get no track of their own.
 
 lidar   a vehicle at close range is detected in pieces: pieces inside its box are fragments, and those within a margin
-        about it; but of one that is detected as a whole nothing outside of its box is that has the shape of a person
+        about it; but of one that is detected as a whole nothing outside of its box is that has the shape of a person,
+        and nothing is that was separated from its cluster
 others  their position is less accurate: a detection that may lie within the box of a lidar track is a fragment of it,
         unless its velocity differs or the box is too large for its body
 """
@@ -30,18 +31,18 @@ class FragmentsConfig(Config):
 
 def is_fragment(
     p_m: Float64, S: Float64, velocity_mps: Float64, body_length_m: Float64, size_m: Float64, is_lidar: Bool,
-    is_person: Bool, parents: "ParentTracks",
+    is_person: Bool, is_body: Bool, parents: "ParentTracks",
     config: FragmentsConfig,
 ) -> Bool:  # fmt: skip
     """Whether each of K detections or tracks is a fragment of each of H parents, (K, H).
 
     Only the first two columns of the positions `p_m` (K, ..) and the first block of their covariances `S` are used;
     `velocity_mps` (K, 2) and `body_length_m` (K,) are NaN where unknown; `is_lidar` (K,) selects the rule;
-    `is_person` (K,): that is the most likely class.
+    `is_person` (K,): that is the most likely class; `is_body` (K,): it was separated from something larger.
     """
     found = np.empty((len(p_m), len(parents.row)), np.bool_)
     _find_fragments(
-        p_m, S, velocity_mps, body_length_m, size_m, is_lidar, is_person,
+        p_m, S, velocity_mps, body_length_m, size_m, is_lidar, is_person, is_body,
         parents.p_m, parents.size_m, parents.cosine, parents.sine, parents.velocity_mps, parents.is_vehicle,
         parents.is_whole,
         config.margin_m, config.gate_sigma, config.agree_mps, config.max_size_ratio, found,
@@ -52,7 +53,7 @@ def is_fragment(
 @kernel
 def _find_fragments(
     p: Float64, S: Float64, velocity: Float64, body: Float64, size: Float64, is_lidar: Bool, is_person: Bool,
-    parents_p: Float64, parents_size: Float64, cosine: Float64, sine: Float64, parents_velocity: Float64,
+    is_body: Bool, parents_p: Float64, parents_size: Float64, cosine: Float64, sine: Float64, parents_velocity: Float64,
     is_vehicle: Bool, is_whole: Bool,
     margin: float, gate: float, agree: float, max_size_ratio: float, found: Bool,
 ) -> None:  # fmt: skip
@@ -66,7 +67,7 @@ def _find_fragments(
             if is_lidar[i]:
                 inside = along <= half + margin and across <= broad + margin
                 is_beside = along > half or across > broad
-                inside = inside and not (is_beside and is_person[i] and is_whole[j])
+                inside = inside and not (is_beside and is_person[i] and is_whole[j]) and not is_body[i]
                 found[i, j] = inside and is_vehicle[j] and size[i, 0] < parents_size[j, 0]
                 continue
             # sigmas of the position along and across the box

@@ -22,6 +22,7 @@ SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, 
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 GATED_COST = 1e9
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
+EQUAL = 0.05  # difference of log scores
 
 
 class TrackerConfig(Config):
@@ -117,8 +118,8 @@ def empty_table() -> TrackTable:
     )  # fmt: skip
 
 
-def start_tracks(detections: Detections, rows: Int64, first_id: int, config: TrackerConfig) -> TrackTable:
-    """New tracks from unmatched detections."""
+def start_states(detections: Detections, rows: Int64, config: TrackerConfig) -> tuple[Float64, Float64]:
+    """State (n, 4) and covariance (n, 4, 4) of tracks that start with these detections."""
     n = len(rows)
     x, P = np.zeros((n, 4)), np.zeros((n, 4, 4))
     x[:, :2], P[:, :2, :2] = detections.p_m[rows, :2], detections.R[rows]
@@ -126,6 +127,13 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
     x[measured, 2:] = detections.velocity_mps[rows][measured]
     sigma = np.where(measured, config.velocity_sigma_mps, config.initial_speed_sigma_mps)
     P[:, 2, 2] = P[:, 3, 3] = sigma**2
+    return x, P
+
+
+def start_tracks(detections: Detections, rows: Int64, first_id: int, config: TrackerConfig) -> TrackTable:
+    """New tracks from unmatched detections."""
+    n = len(rows)
+    x, P = start_states(detections, rows, config)
     stamp = np.full(n, detections.stamp_ns, np.int64)
     recent_ns, recent_m = np.zeros((n, KEPT), np.int64), np.zeros((n, KEPT, 2))
     if detections.is_lidar:
@@ -202,6 +210,12 @@ def is_of(class_evidence: Float64, label: int) -> Bool:
     return np.asarray(class_evidence.argmax(axis=1) == label) if len(class_evidence) else np.zeros(0, np.bool_)
 
 
+def is_body(class_evidence: Float64) -> Bool:
+    """Which (T,) are bodies separated from something larger, a person or unknown; from class evidence (T, 8)."""
+    pair = class_evidence[:, [UNKNOWN, PERSON]]
+    return np.asarray(pair.min(axis=1) >= class_evidence.max(axis=1, initial=-np.inf) - EQUAL)
+
+
 def is_moving_class(class_evidence: Float64) -> Bool:
     """Whether the most likely class moves (person, animal, vehicle), (T,), from class evidence (T, 8)."""
     return np.asarray(MOVING_CLASSES[class_evidence.argmax(axis=1)]) if len(class_evidence) else np.zeros(0, np.bool_)
@@ -234,8 +248,8 @@ def drop_fragments(detections: Detections, rows: Int64, parents: ParentTracks, c
     found = is_fragment(
         detections.p_m[rows], detections.R[rows], detections.velocity_mps[rows], detections.body_length_m[rows],
         detections.size_m[rows],
-        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON), parents,
-        config.fragments,
+        np.full(len(rows), detections.is_lidar), is_of(detections.class_log_scores[rows], PERSON),
+        is_body(detections.class_log_scores[rows]), parents, config.fragments,
     )  # fmt: skip
     return rows[~found.any(axis=1)]
 
@@ -248,7 +262,8 @@ def merge_fragments(
     body = np.where(table.sensors & cameras != 0, table.size_m[:, 0], np.nan)
     is_lidar = measured_by_lidar(table, lidars, config)
     found = is_fragment(
-        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON), parents,
+        table.x, table.P, velocity, body, table.size_m, is_lidar, is_of(table.class_evidence, PERSON),
+        is_body(table.class_evidence), parents,
         config.fragments,
     )  # fmt: skip
     found[parents.row, np.arange(len(parents.row))] = False

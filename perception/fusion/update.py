@@ -1,4 +1,9 @@
-"""Track update by matched detections: position, velocity, box and class."""
+"""Track update by matched detections: position, velocity, box and class.
+
+The centre of a body moves with its outline: where something larger is separated otherwise than in the last scan, or a
+track goes over to another part of it, the difference of their centres is no motion. Until its motion is confirmed, a
+track whose box changes that much starts again where it is now seen.
+"""
 
 import numpy as np
 
@@ -7,11 +12,21 @@ from perception.fusion.detections import Detections
 from perception.fusion.fitted_motion import remember
 from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
-from perception.fusion.tracks import FRAGMENT_LENGTH_RATIO, TrackerConfig, TrackTable, is_moving, is_of, nanoseconds
+from perception.fusion.tracks import (
+    FRAGMENT_LENGTH_RATIO,
+    TrackerConfig,
+    TrackTable,
+    is_moving,
+    is_of,
+    nanoseconds,
+    start_states,
+)
 
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
 UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
+OTHER_PART_SHARE = 0.4  # of the longer box: a side that differs by more is that of another part
+OTHER_PART_M = 1.1  # least length of the longer box: below it limbs and hidden parts change the outline of one body
 STRUCTURE_SIGMA_SHARE = 0.25  # of the position sigma of a static structure
 
 
@@ -28,7 +43,9 @@ def update(
     is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (
         size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0]
     )
-    fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else np.zeros(len(rows), np.bool_)
+    none = np.zeros(len(rows), np.bool_)
+    fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else none
+    restarts = ~is_piece & _is_other_part(table, tracks, size, lidars) if detections.is_lidar else none
     was_lost = detections.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
     if fixed.any() or was_lost.any():
         _reset_velocity(x, P, detections, rows, fixed, was_lost, config)
@@ -40,26 +57,33 @@ def update(
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
     correct(x, P, z, R, 0)
+    if restarts.any():
+        x[restarts], P[restarts] = start_states(detections, rows[restarts], config)
+        P[restarts & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
+        table.moving_since_ns[tracks[restarts]] = table.recent_ns[tracks[restarts]] = 0
     _correct_velocity(x, P, detections, rows, config)
     table.x[tracks], table.P[tracks] = x, P
     if detections.has_bearing:
         _confirm_motion(table, tracks, z, detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
-    _update_boxes(table, tracks, detections, rows, is_piece, fixed, lidars)
+    _update_boxes(table, tracks, detections, rows, is_piece, fixed | restarts, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)
     table.last_ns[tracks] = detections.stamp_ns
     table.sensors[tracks] |= 1 << detections.sensor
 
 
 def _update_boxes(
-    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bool, fixed: Bool, lidars: int
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bool, is_new: Bool, lidars: int
 ) -> None:
-    """Updates height, size and yaw in place; only lidar returns measure a box, other sensors estimate it."""
+    """Updates height, size and yaw in place; only lidar returns measure a box, other sensors estimate it.
+
+    `is_new`: nothing is kept of the size before.
+    """
     size = detections.size_m[rows]
     boxed = (table.sensors[tracks] == 1 << detections.sensor) | detections.is_lidar
     table.box_measured_ns[tracks[boxed]] = detections.stamp_ns
     was_estimated = np.bool_(detections.is_lidar) & (table.sensors[tracks] & lidars == 0)
-    gain = np.where(is_piece, FRAGMENT_GAIN, np.where(was_estimated | fixed, 1.0, 0.5))[boxed]
+    gain = np.where(is_piece, FRAGMENT_GAIN, np.where(was_estimated | is_new, 1.0, 0.5))[boxed]
     with_box, boxes = tracks[boxed], rows[boxed]
     table.height_m[with_box] = detections.p_m[boxes, 2]
     table.size_m[with_box] += gain[:, None] * (size[boxed] - table.size_m[with_box])
@@ -97,6 +121,15 @@ def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: In
         recent_ns, recent_m = table.recent_ns[tracks], table.recent_m[tracks]
         remember(recent_ns, recent_m, detections.stamp_ns, detections.p_m[rows, :2])
         table.recent_ns[tracks], table.recent_m[tracks] = recent_ns, recent_m
+
+
+def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, lidars: int) -> Bool:
+    """Whether lidar boxes (K,) are of other parts than those measured before, of tracks without confirmed motion."""
+    before_m = table.size_m[tracks]
+    longer_m = np.maximum(size_m[:, 0], before_m[:, 0])
+    differs = np.abs(size_m[:, :2] - before_m[:, :2]).max(axis=1, initial=0.0) > OTHER_PART_SHARE * longer_m
+    is_measured = (table.sensors[tracks] & lidars != 0) & (table.has_moved[tracks] == 0)
+    return np.asarray(differs & (longer_m > OTHER_PART_M) & is_measured)
 
 
 def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:

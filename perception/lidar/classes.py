@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64
+from geometry.arrays import Bool, Float64, UInt8
 from messages.perception import ObstacleClass
+from perception.lidar.bodies import BODY, MAY_HOLD_BODY
 
 CLASSES = tuple(ObstacleClass)
 UNKNOWN_WEIGHT = 0.25  # score of `UNKNOWN` against a perfect match of 1
@@ -18,19 +19,25 @@ SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
 }
 Limit = Float64 | float
 LIMITS: Float64 = np.array(list(SHAPES.values())).transpose(2, 1, 0)[:, :, None]  # (4, 3, 1, classes)
+BODY_SCORES = np.isin(CLASSES, (ObstacleClass.UNKNOWN, ObstacleClass.PERSON)).astype(np.float64)
 SHAPED = [CLASSES.index(label) for label in SHAPES]
 
 
-def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool) -> Float64:
+def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool, kinds: UInt8) -> Float64:
     """Scores (K, 8) in the order of `ObstacleClass`; sizes (K, 3) with the longer level side first, rows sum to 1.
 
-    `is_floating` (K,): there is clear space beneath the cluster.
+    `is_floating` (K,): there is clear space beneath the cluster. `kinds` (K,), of `perception.lidar.bodies`: a body
+    beside something larger is a person or a post: as much unknown as anything else, so that a track that was a person
+    before stays one. A cluster that may hold a body is as much unknown as a vehicle.
     """
     scores = np.zeros((len(size_m), len(CLASSES)))
     scores[:, 0] = UNKNOWN_WEIGHT
     height, length, width = trapezoid(np.stack([top_m, size_m[:, 0], size_m[:, 1]])[:, :, None], *LIMITS)
     scores[:, SHAPED] = np.where(is_floating[:, None], 0.0, height * length * width)
     scores[:, CLASSES.index(ObstacleClass.AIRBORNE)] = is_floating
+    doubtful = kinds == MAY_HOLD_BODY
+    scores[doubtful, 0] = np.maximum(scores[doubtful, 0], scores[doubtful, CLASSES.index(ObstacleClass.VEHICLE)])
+    scores[kinds == BODY] = BODY_SCORES
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 
 

@@ -116,3 +116,13 @@ def _heights(points: Float32, polar: Float32, surface: Float32, bins: int, above
         far = (one - u) * surface[c + np.uint32(1)] + u * surface[c + width + np.uint32(1)]
         h = points[i, 2] - ((one - v) * near + v * far)
         above[i] = h if polar[i, 1] >= ZERO else np.float32(np.nan)
+
+
+@kernel
+def take_rows(points: Float32, indices: Int32) -> Float32:
+    """`points[indices]`, row by row: numpy takes five times as long on column-major points."""
+    out = np.empty((indices.shape[0], 3), np.float32)
+    for n in range(indices.shape[0]):
+        i = indices[n]
+        out[n, 0], out[n, 1], out[n, 2] = points[i, 0], points[i, 1], points[i, 2]
+    return out

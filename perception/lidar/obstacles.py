@@ -7,7 +7,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from configs.vehicle import Implement, Lidar, Vehicle
-from geometry.arrays import Float32, Float64, Int32, UInt8
+from geometry.arrays import Float32, Float64, UInt8
 from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
 from geometry.range_image import beam_grid
@@ -17,11 +17,12 @@ from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
 from perception.lidar.airborne import FLOATING, LOW, OBSTACLE, AirborneConfig, is_scattered, mark_airborne
+from perception.lidar.bodies import BodyConfig, BodySplitter
 from perception.lidar.boxes import fit_boxes
 from perception.lidar.classes import class_scores
 from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
 from perception.lidar.expected_points import beams_of, expected_points
-from perception.lidar.grid import Grid, build_grid
+from perception.lidar.grid import Grid, build_grid, take_rows
 from perception.lidar.ground import Ground, GroundConfig, find_ground, fit_plane
 from perception.lidar.health import (
     HealthConfig,
@@ -47,6 +48,7 @@ class LidarConfig(Config):
     ground: GroundConfig
     airborne: AirborneConfig
     clusters: ClusterConfig
+    bodies: BodyConfig
     health: HealthConfig
     plane_radius_m: float = Field(ge=3.0, le=50.0)
 
@@ -142,6 +144,7 @@ class Pipeline:
         )  # fmt: skip
         self._cell_grid = new_cell_grid(config.clusters)
         self._beams = beams_of(lidar)
+        self._splitter = BodySplitter(config.bodies, config.clusters, self._beams, lidar.columns)
         self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), self._beams.column_rad)
         self.coverages = tuple(nominal_coverage(lidar, own, config.health) for own in self._own)
 
@@ -172,16 +175,18 @@ class Pipeline:
             is_obstacle_point[ground.is_plant] = 0
         mark_airborne(scan, point_class, T, self.config.airborne)
         clusters = find_clusters(points, point_class, self._center, self.config.clusters, self._cell_grid)
+        clusters, kinds = self._splitter.split(clusters, points, ground.height_m, point_class, self._center)
         plane = fit_plane(ground, self._center, self._grid, self.config.plane_radius_m)
         return (
             LidarGround(scan.stamp_ns, scan.stamp_ns, is_obstacle_point, plane),
-            self._obstacles(scan.stamp_ns, sensor, clusters, points, ground, point_class),
+            self._obstacles(scan.stamp_ns, sensor, clusters, kinds, points, ground, point_class),
             self._health(scan, ground, usable, nominal, sensor, rejected_count),
         )
 
     def _obstacles(
-        self, stamp_ns: int, sensor: str, found: Clusters, points: Float32, ground: Ground, point_class: UInt8
-    ) -> Obstacles:
+        self, stamp_ns: int, sensor: str, found: Clusters, kinds: UInt8, points: Float32, ground: Ground,
+        point_class: UInt8,
+    ) -> Obstacles:  # fmt: skip
         boxes = fit_boxes(found, points, ground.height_m, point_class, self._front, self._center)
         limits, counts = self.config.clusters, np.diff(found.offsets)
         expected = expected_points(self._beams, boxes.center_m, boxes.size_m, boxes.yaw_rad)
@@ -192,8 +197,8 @@ class Pipeline:
         is_floating = floating_share(kept, point_class) >= self.config.airborne.min_share
         return Obstacles(
             stamp_ns, sensor, stamp_ns, boxes.center_m[high], size, yaw, boxes.nearest_m[high],
-            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating), kept.offsets,
-            kept.indices, _take_rows(points, kept.indices),
+            np.full((len(yaw), 2), np.nan), class_scores(size, boxes.top_m[high], is_floating, kinds[high]),
+            kept.offsets, kept.indices, take_rows(points, kept.indices),
         )  # fmt: skip
 
     def _health(
@@ -217,16 +222,6 @@ def floating_share(clusters: Clusters, point_class: UInt8) -> Float64:
         np.add.reduceat(found >= one, clusters.offsets[:-1], dtype=np.float64) for one in (FLOATING, OBSTACLE)
     )
     return np.asarray(floats / obstacles)
-
-
-@kernel
-def _take_rows(points: Float32, indices: Int32) -> Float32:
-    """`points[indices]`, row by row: numpy takes five times as long on column-major points."""
-    out = np.empty((indices.shape[0], 3), np.float32)
-    for n in range(indices.shape[0]):
-        i = indices[n]
-        out[n, 0], out[n, 1], out[n, 2] = points[i, 0], points[i, 1], points[i, 2]
-    return out
 
 
 @kernel

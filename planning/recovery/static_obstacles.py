@@ -16,6 +16,7 @@ from geometry.transforms import apply, yaw_of
 from messages.perception import ObstacleClass, Track, Tracks
 
 LIVING_CLASSES = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})  # are not driven around
+POSSIBLY_LIVING_CLASSES = LIVING_CLASSES | {ObstacleClass.UNKNOWN}  # a person beside something larger has no class
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ def static_obstacles(
 def merged(found: Sequence[StaticObstacle], merge_distance_m: float) -> list[StaticObstacle]:
     """Obstacles closer to each other than `merge_distance_m` as one, with the class of the largest.
 
-    Wheels, bed and cab of a vehicle may be tracked as three objects.
+    Wheels, bed and cab of a vehicle may be tracked as three objects. With one that is or may be a person the whole is
+    unclassified: somebody beside a vehicle is not driven around with it.
     """
     groups: list[list[StaticObstacle]] = []
     for obstacle in found:
@@ -54,7 +56,10 @@ def merged(found: Sequence[StaticObstacle], merge_distance_m: float) -> list[Sta
 def _union(group: Sequence[StaticObstacle]) -> StaticObstacle:
     largest = max(group, key=lambda s: round(s.outline.area, 6))
     hull = as_polygon(shapely.union_all([s.outline for s in group]).convex_hull)
-    return largest if len(group) == 1 else StaticObstacle(largest.label, hull)
+    if len(group) == 1:
+        return largest
+    may_be_person = any(s.label in POSSIBLY_LIVING_CLASSES for s in group)
+    return StaticObstacle(ObstacleClass.UNKNOWN if may_be_person else largest.label, hull)
 
 
 def box_outline(track: Track, T_map_odom: Float64) -> Polygon:

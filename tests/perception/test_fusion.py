@@ -216,7 +216,7 @@ def test_vehicle_keeps_its_track_beside_a_new_one():
     assert {x.id for t, tracks in published if t > 1.25 for x in tracks.tracks} == {1}
 
 
-@pytest.mark.parametrize("size, moves", [((0.97, 0.05, 0.13), False), ((0.5, 0.3, 1.7), True)])
+@pytest.mark.parametrize(("size", "moves"), [((0.97, 0.05, 0.13), False), ((0.5, 0.3, 1.7), True)])
 def test_piece_of_fence_does_not_move_along_it(size, moves):
     """Rings show other pieces of a fence as the machine drives; a person who walks along it moves."""
 

@@ -74,7 +74,7 @@ def test_who_stands_below_a_bird_is_not_airborne(pipeline, x):
 
 def test_shapes_are_of_bodies_on_the_ground():
     size_m, top_m = np.array([[0.5, 0.4, 1.7]] * 2), np.array([1.7, 1.7])
-    standing, floats = class_scores(size_m, top_m, np.array([False, True]))
+    standing, floats = class_scores(size_m, top_m, np.array([False, True]), np.zeros(2, np.uint8))
     assert standing.argmax() == CLASSES.index(ObstacleClass.PERSON)
     assert standing[AIRBORNE] == 0.0
     assert floats.argmax() == AIRBORNE

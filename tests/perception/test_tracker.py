@@ -219,6 +219,38 @@ def test_alternating_position_is_static(hold, jump_m):
         assert all(np.hypot(*track.velocity_mps) == 0.0 for track in published.tracks)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@RATES
+def test_structure_separated_otherwise_in_each_scan_is_static(seed, rate_hz):
+    """A hedge of 8 m, cut in up to three sections at other places in each scan."""
+    rng, scans = np.random.default_rng(seed), []
+    for t in stamps(rate_hz, 2.0):
+        ends = np.sort([0.0, 8.0, *rng.uniform(0.5, 7.5, rng.integers(0, 3))])
+        lengths = np.diff(ends)
+        centers = np.column_stack([10.0 + ends[:-1] + lengths / 2, np.full((len(lengths), 2), (5.0, 1.0))])
+        sizes = np.sort(np.column_stack([lengths, np.full(len(lengths), 1.4)]), axis=1)[:, ::-1]
+        yaws = np.where(lengths >= 1.4, 0.0, np.pi / 2)
+        scan = message(t, centers, np.column_stack([sizes, np.full(len(lengths), 1.8)]), 60, yaws, seed=t)
+        scans.append(replace(scan, class_scores=np.full((len(lengths), 8), 1 / 8)))
+    for published in run(new_tracker(), scans):
+        assert all(np.hypot(*track.velocity_mps) < 0.5 for track in published.tracks)
+
+
+@pytest.mark.parametrize(("rate_hz", "moves_s"), [(10.0, 0.6), (5.0, 1.4)])
+def test_vehicle_that_comes_into_view_is_moving(rate_hz, moves_s):
+    """Its visible length grows from 0.3 m to 4.5 m, from behind a wall."""
+    scans = []
+    for t in stamps(rate_hz, 2.0):
+        front_m = 0.3 + 4.0 * (t - START) / NS
+        length = min(front_m, 4.5)
+        size, yaw = ((length, 1.8, 1.5), 0.0) if length >= 1.8 else ((1.8, length, 1.5), np.pi / 2)
+        scans.append(message(t, [[10.0 + front_m - length / 2, 5.0, 0.8]], size, 100, yaw, seed=t))
+    published = run(new_tracker(), scans)
+    speeds = [np.hypot(*tracks.tracks[0].velocity_mps) for tracks in published]
+    assert min(speeds[round(moves_s * rate_hz) :]) > 1.5
+    assert speeds[-1] == pytest.approx(4.0, abs=0.8)
+
+
 def test_radar_velocity_in_lidar_track():
     tracker = new_tracker(LIDAR, RADAR)
     for i, t in enumerate(stamps(10, 1.0)):
@@ -251,7 +283,7 @@ def test_class_by_shape_and_speed():
     ],
 )  # fmt: skip
 def test_cyclist_is_a_person(size_m, speed_mps, is_person):
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool))
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
     scans = [
         replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.9]], sizes=size_m), class_scores=scores)
         for t in stamps(10, 2.0)
