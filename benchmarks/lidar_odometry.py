@@ -73,10 +73,13 @@ def scans_of(log: Path, seconds: float, machine: str, implement: str) -> list[Sc
             if message.stamp_ns - first_ns > seconds * 1e9:
                 break
             waiting = [*waiting[-WINDOW:], message]  # those before the first pose never get one
-        while waiting and (now := odom.at(waiting[0].stamp_ns)) is not None:
+        while waiting:
+            now, true = odom.at(waiting[0].stamp_ns), truth.at(waiting[0].stamp_ns)
+            if now is None or true is None:
+                break
             scan = waiting.pop(0)
-            before, true = odom.at(scan.stamp_ns - points.sweep_ns), truth.at(scan.stamp_ns)
-            if before is None or true is None or scan.stamp_ns - last_ns < PERIOD_NS:
+            before = odom.at(scan.stamp_ns - points.sweep_ns)
+            if before is None or scan.stamp_ns - last_ns < PERIOD_NS:
                 continue
             last_ns = scan.stamp_ns
             ground, _, _ = pipeline.run(scan, None, sensor, 0)

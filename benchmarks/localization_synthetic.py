@@ -35,11 +35,11 @@ def main(seeds: int) -> None:
         cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + int(CUT_S * 1e9)]
         print(f"seed {seed}: {_rtk(all_errors[-1])}, {step_ms[-1]:.2f} ms a step (CPU)")
         print("   no GNSS, no lidar:", _outage(errors(run(cut), truth)))
-        timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), None, configuration().lidar_odometry))
         with_lidar = errors(run(cut, lidar=(timed, _scans(truth))), truth)
         print("   no GNSS, lidar:   ", _outage(with_lidar), f"{timed.ms:.1f} ms a matched scan (CPU)", flush=True)
         mapped = _Timed(LidarMap(tractor(), harrow(), None, configuration().lidar_map))
-        timed = _Timed(LidarOdometryNode(tractor(), configuration().lidar_odometry))
+        timed = _Timed(LidarOdometryNode(tractor(), None, configuration().lidar_odometry))
         both = run(cut, lidar=(timed, _scans(truth)), lidar_map=(mapped, _scans_by_name(truth)))
         print("   no GNSS, and map: ", _outage(errors(both, truth)), f"{mapped.ms:.1f} ms a match (CPU)", flush=True)
     joined = Errors(*(np.concatenate([getattr(e, name) for e in all_errors]) for name in Errors.__dataclass_fields__))

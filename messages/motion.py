@@ -1,12 +1,15 @@
 """Odometry, map pose and lidar pose measurements."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from geometry.arrays import Float64
-from geometry.transforms import interpolate
+from geometry.transforms import interpolate, planar
 from messages.message import Message
+from messages.node import Inbox
+
+PREDICTED_S = 0.1  # longest time over which the motion of an odometry message counts
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,21 @@ class Odometry(Message):
             stamp_ns, T, near.speed_mps, near.lateral_mps, near.acceleration_mps2, near.yaw_rate_radps,
             near.curvature_radpm, near.covariance,
         )  # fmt: skip
+
+    def predicted(self, stamp_ns: int) -> "Odometry":
+        """Odometry at a later time by the motion now, at most `PREDICTED_S` on."""
+        dt_s = min((stamp_ns - self.stamp_ns) * 1e-9, PREDICTED_S)
+        step = planar(self.speed_mps * dt_s, self.lateral_mps * dt_s, self.yaw_rate_radps * dt_s)
+        return replace(self, stamp_ns=stamp_ns, T_odom_base=self.T_odom_base @ step)
+
+
+def odometry_at(inbox: Inbox, stamp_ns: int) -> Odometry | None:
+    """Odometry at a time: between two messages, or predicted from the newest; None before the first one kept.
+
+    A scan is often processed before the odometry of its time arrives.
+    """
+    odom, newest = inbox.at("odom", Odometry, stamp_ns), inbox.latest("odom", Odometry)
+    return newest.predicted(stamp_ns) if odom is None and newest is not None and newest.stamp_ns <= stamp_ns else odom
 
 
 class PositionSource(IntEnum):

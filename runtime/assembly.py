@@ -105,7 +105,7 @@ def localization_nodes(setup: Setup) -> list[Node]:
     """Lidar odometry, map localization and localizer: from sensor messages to the pose."""
     localization = setup.stack.localization
     return [
-        LidarOdometryNode(setup.vehicle, localization.lidar_odometry),
+        LidarOdometryNode(setup.vehicle, setup.implement, localization.lidar_odometry),
         LidarMap(setup.vehicle, setup.implement, setup.site.shed, localization.lidar_map),
         Localizer(setup.vehicle, setup.site.datum.datum, localization, setup.site.shed, _dock_pose(setup)),
     ]

@@ -30,7 +30,7 @@ from localization.lidar.scan_matching import (
 from localization.lidar.scan_preprocessing import ScanPreprocessor
 from localization.lidar.shed_search import ShedSearch, ShedSearchConfig
 from localization.lidar.surface_map import SurfaceMap
-from messages.motion import LidarLocalization, MapPose, Odometry, PositionSource
+from messages.motion import LidarLocalization, MapPose, Odometry, PositionSource, odometry_at
 from messages.node import All, At, Every, Inbox, Latest, Node, Output, Read
 from messages.perception import LidarGround
 from messages.sensors import LidarScan
@@ -86,7 +86,7 @@ class LidarMap(Node):
         if not pairs or pose is None:
             return []
         stamp_ns = max(scan.stamp_ns for scan, _ in pairs.values())
-        odom = inbox.at("odom", Odometry, stamp_ns)
+        odom = odometry_at(inbox, stamp_ns)
         if odom is None:
             return []
         if not pose.is_initialized:
@@ -122,8 +122,8 @@ class LidarMap(Node):
         level, rows = level_of(T_map_base), []
         for name, (scan, ground) in pairs.items():
             lidar = self._lidars[name]
-            then = inbox.at("odom", Odometry, scan.stamp_ns)
-            before = inbox.at("odom", Odometry, scan.stamp_ns - lidar.sweep_ns)
+            then = odometry_at(inbox, scan.stamp_ns)
+            before = odometry_at(inbox, scan.stamp_ns - lidar.sweep_ns)
             if then is None or before is None:
                 continue
             T_sweep = invert(before.T_odom_base) @ then.T_odom_base

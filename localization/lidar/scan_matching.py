@@ -15,7 +15,7 @@ from configs.strict import Config
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from geometry.transforms import planar, rotation_vector, yaw_of
-from localization.dead_reckoning.kernels import first_in_voxel, move_points
+from localization.dead_reckoning.kernels import move_points
 from localization.lidar.surface_map import SurfaceMap, SurfaceMapConfig
 
 UNOBSERVED = np.square([0.1, 0.1, 0.0, 0.0, 0.0, 10.0])  # variances of roll, pitch (rad²) and height (m²)
@@ -130,9 +130,8 @@ class ScanMatcher:
         self._scans = self._lost = 0
 
     def match(self, points_m: Float64, T_previous_now: Float64) -> Match:
-        """Matches points (N, 3) in the body from the initial guess, and adds them to the map after some motion."""
+        """Matches points (N, 3) in the body, one of each voxel, and adds them to the map after some motion."""
         cfg, T_guess = self._config, self.T_local_body @ T_previous_now
-        points_m = points_m[first_in_voxel(points_m, cfg.voxel_m)]
         rows = rows_of(points_m, self._origin_m, level_of(T_guess))
         match = self._align(rows, T_guess)
         self.T_local_body = _orthonormal(match.T_local_body)

@@ -26,13 +26,13 @@ class ScanPreprocessor:
     """Pairs scans with their ground and filters their points."""
 
     def __init__(
-        self, lidar: Lidar, body: Body, implement: MountedImplement | TrailedImplement, range_m: tuple[float, float],
-        margin_m: float, voxel_m: float,
+        self, lidar: Lidar, body: Body, implement: MountedImplement | TrailedImplement | None,
+        range_m: tuple[float, float], margin_m: float, voxel_m: float,
     ) -> None:  # fmt: skip
         self._T_base_lidar, self._range_m, self._voxel_m = lidar.mount.T_base_sensor, range_m, voxel_m
         self.sweep_ns = round(1e9 / lidar.rate_hz)
         self._margin_m = margin_m
-        self._body, self._implement = outlines(body, implement)
+        self._body, self._implement = outlines(body, implement)[0], outlines(body, implement)[-1]
         offtracking_m = -self._implement.rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side
         self._half_width_m = self._implement.half_width_m + offtracking_m
         self._waiting: dict[int, LidarScan] = {}

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from geometry.arrays import Int64
-from messages.motion import Odometry
+from messages.motion import Odometry, odometry_at
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
 from messages.topics import spec_of
@@ -62,7 +62,7 @@ class Tracker(Node):
         messages = [(m.stamp_ns, i, m) for i, topic in enumerate(self._topics) for m in inbox.all(topic, Obstacles)]
         is_due = False
         for stamp_ns, sensor, message in sorted(messages, key=lambda entry: entry[:2]):
-            odom = inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
+            odom = odometry_at(inbox, message.stamp_ns)
             if odom is not None and not self._is_without_effect(message, sensor):
                 self._process(message, odom, sensor)
                 is_due |= self._lidars >> sensor & 1 == 1 or stamp_ns - self._published_ns >= self._period_ns

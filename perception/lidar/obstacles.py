@@ -12,7 +12,7 @@ from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
 from geometry.range_image import beam_grid
 from messages.command import MachineState
-from messages.motion import Odometry
+from messages.motion import Odometry, odometry_at
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import HealthState, LidarGround, Obstacles, SensorHealth
 from messages.sensors import LidarScan
@@ -79,7 +79,7 @@ class LidarObstacles(Node):
         if reason:
             self._rejected_count += 1
             return ((self.writes[2], self._blind_health(scan.stamp_ns, reason)),)
-        odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
+        odom = odometry_at(inbox, scan.stamp_ns)
         machine = inbox.latest("machine", MachineState)
         hitch = 1.0 if machine is None or not np.isfinite(machine.hitch) else machine.hitch
         ground, obstacles, health = self._pipeline.run(

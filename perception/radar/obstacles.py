@@ -10,7 +10,7 @@ from configs.strict import Config
 from configs.vehicle import Implement, Mount, Radar, Vehicle
 from geometry.arrays import Bool, Float64
 from messages.command import MachineState
-from messages.motion import Odometry
+from messages.motion import Odometry, odometry_at
 from messages.node import At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import RadarScan
@@ -74,7 +74,7 @@ class RadarObstacles(Node):
         scan = inbox.last(self._topic, RadarScan)
         if scan is None or not is_well_formed(scan) or scan.stamp_ns == self._stamp_ns:
             return ()
-        odom = inbox.at("odom", Odometry, scan.stamp_ns) or inbox.latest("odom", Odometry)
+        odom = odometry_at(inbox, scan.stamp_ns)
         if odom is None:
             return ()
         folded = is_folded(inbox.latest("machine", MachineState))

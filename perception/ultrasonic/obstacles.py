@@ -11,7 +11,7 @@ from configs.strict import Config
 from configs.vehicle import Implement, Ultrasonic, Vehicle
 from geometry.arrays import Float64
 from messages.command import MachineState
-from messages.motion import Odometry
+from messages.motion import Odometry, odometry_at
 from messages.node import All, At, Inbox, Latest, Node, On, Output
 from messages.perception import ObstacleClass, Obstacles
 from messages.sensors import UltrasonicRange
@@ -80,7 +80,7 @@ class UltrasonicObstacles(Node):
         is_known = last is not None and message.stamp_ns - last.stamp_ns <= hold_ns
         if not is_known and math.isnan(message.range_m) and all(math.isnan(e.range_m) for e in self._echoes):
             return None
-        return inbox.at("odom", Odometry, message.stamp_ns) or inbox.latest("odom", Odometry)
+        return odometry_at(inbox, message.stamp_ns)
 
     def _add(self, message: UltrasonicRange, odom: Odometry | None) -> None:
         last = self._echoes[-1] if self._echoes else None

@@ -234,7 +234,7 @@ def localization_nodes(replay_input: ReplayInput) -> list[Node]:
     config, nodes = replay_input.config.stack.localization, list[Node]()
     assert site is not None, "checked by find_odometry_source"
     if config.lidar_odometry.sensor in vehicle.sensors.lidar:
-        nodes.append(LidarOdometryNode(vehicle, config.lidar_odometry))
+        nodes.append(LidarOdometryNode(vehicle, implement, config.lidar_odometry))
     if vehicle.sensors.lidar and implement is not None:
         nodes.append(LidarMap(vehicle, implement, site.shed, config.lidar_map))
     return [*nodes, Localizer(vehicle, site.datum, config, site.shed, site.dock)]

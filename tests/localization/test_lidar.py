@@ -24,7 +24,7 @@ KITTI = DATA / "kitti-seq-pcd" / "frames"
 def motions_in(world, seconds=6.0):
     """Lidar motions at walking pace without `odom`."""
     truth = drive(seconds, legs=[(0.5, 0.0, 0.0), (100.0, 1.5, 0.05)], sensor_errors=SensorErrors(seed=2))
-    node, rng, out = LidarOdometryNode(tractor(), CONFIG.lidar_odometry), np.random.default_rng(0), []
+    node, rng, out = LidarOdometryNode(tractor(), None, CONFIG.lidar_odometry), np.random.default_rng(0), []
     for k in range(2, int(seconds * 10) - 2, 2):
         stamp_ns = START_NS + k * 100_000_000
         pair = scan(truth, stamp_ns, world, rng)
@@ -62,7 +62,7 @@ def test_too_few_points_are_invalid(world):
 
 def test_gap_starts_new_map():
     truth = drive(4, legs=[(100.0, 0.0, 0.0)])
-    node, rng, world = LidarOdometryNode(tractor(), CONFIG.lidar_odometry), np.random.default_rng(0), yard()
+    node, rng, world = LidarOdometryNode(tractor(), None, CONFIG.lidar_odometry), np.random.default_rng(0), yard()
     counts = []
     for k in (2, 4, 12, 14):
         pair = scan(truth, START_NS + k * 100_000_000, world, rng)
@@ -159,7 +159,7 @@ def test_odometry_spans_join_consecutive_motions():
 def test_gnss_outage_with_lidar_odometry():
     truth = drive(18, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.0)], sensor_errors=SensorErrors(seed=2))
     cut = [m for m in truth.messages if m[1] != "gnss/main" or m[2].stamp_ns < START_NS + 10_000_000_000]
-    node, rng, world = LidarOdometryNode(tractor(), CONFIG.lidar_odometry), np.random.default_rng(0), yard()
+    node, rng, world = LidarOdometryNode(tractor(), None, CONFIG.lidar_odometry), np.random.default_rng(0), yard()
 
     def simulate(stamp_ns):
         is_due = stamp_ns > START_NS + 200_000_000 and (stamp_ns - START_NS) % 200_000_000 == 0
@@ -174,7 +174,7 @@ def test_gnss_outage_with_lidar_odometry():
 
 def test_unknown_sensor_raises():
     with pytest.raises(ConfigError, match="top"):
-        LidarOdometryNode(tractor(), CONFIG.lidar_odometry.model_copy(update={"sensor": "top"}))
+        LidarOdometryNode(tractor(), None, CONFIG.lidar_odometry.model_copy(update={"sensor": "top"}))
 
 
 @needs("kitti-seq-pcd/frames")
