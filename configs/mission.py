@@ -43,6 +43,14 @@ class Work(Config):
     swath_circle_m: tuple[Coordinate, Coordinate, Annotated[float, Field(gt=0.0, le=5000.0)]] | None = Field(
         default=None, description="centre in `map` and radius of a circle: swaths lie at whole spacings from it"
     )
+    swaths_from_m: tuple[Coordinate, Coordinate] | None = Field(
+        default=None, description="point in `map`: the outermost swath next to it is worked first"
+    )
+    swath_skip: Annotated[int, Field(ge=0, le=9)] | None = Field(
+        default=None,
+        description="swaths left out between two that are worked one after the other, and worked on the way back; "
+        "default: the order of least time",
+    )
     no_go_m: tuple[Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=500)], ...] = (
         Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
     )
