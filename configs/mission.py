@@ -18,6 +18,14 @@ class EdgeMargin(Config):
     reason: str = Field(min_length=1, max_length=40, description="what is there, as hedge, ditch, road")
 
 
+class Refill(Config):
+    """Drives to a place at the edge, where the machine waits for an order before it goes on."""
+
+    at_m: tuple[Coordinate, Coordinate] = Field(description="point in `map`: the place is at the edge next to it")
+    every_m2: float = Field(gt=0.0, le=1e7, description="worked area after which the rig has driven there, at most")
+    reason: str = Field(default="seed", min_length=1, max_length=40, description="what is refilled")
+
+
 class Work(Config):
     """Field work."""
 
@@ -51,6 +59,7 @@ class Work(Config):
         description="swaths left out between two that are worked one after the other, and worked on the way back; "
         "default: the order of least time",
     )
+    refill: Refill | None = Field(default=None, description="stops at a place at the edge for refilling")
     no_go_m: tuple[Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=500)], ...] = (
         Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
     )

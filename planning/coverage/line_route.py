@@ -1,6 +1,7 @@
 """Driving swaths and open headland passes in an order of short turns."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from planning.coverage.insertion import Stop, Tour, inserted
 from planning.coverage.order import Visit, order
-from planning.coverage.swath_order import first_line, skip_order
+from planning.coverage.swath_order import first_line, is_ordered, moved, skip_order
 from planning.coverage.work_line import WorkLine
 from planning.turns.connector import PathConnector
 from planning.turns.search import STEP_M, Connection, bounds_s
@@ -36,7 +37,12 @@ def drive_lines(
         again = _drive(connector, start, home, [line for line in lines if tour.has(line)], work)
         if len(again.stops) == len(tour.stops) and again.turns_s < tour.turns_s:
             tour = again
-    return inserted(connector, tour, home, [line for line in lines if not tour.has(line)])
+    tour = inserted(connector, tour, home, [line for line in lines if not tour.has(line)])
+    if not is_ordered(work):
+        return tour
+    planned, driven = _ordered(connector, start, home, lines, work), [s.line for s in tour.stops]
+    numbers = [k for line in driven for k, one in enumerate(lines) if one is line]
+    return replace(tour, moved=moved(planned, numbers, work))
 
 
 def _drive(

@@ -71,7 +71,9 @@ def drive_passes(
             number += 1
             continue
         connection, last = best
-        pieces += [*turn_pieces(connection, ring.number), *_loop(ring, last)]
+        first, *others_of_loop = _loop(ring, last)
+        more = [replace(piece, continues=True) for piece in others_of_loop]
+        pieces += [*turn_pieces(connection, ring.number), first, *more]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number = 0  # those that were not reached before may be now

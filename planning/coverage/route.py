@@ -24,6 +24,7 @@ from planning.coverage.insertion import Tour, inserted
 from planning.coverage.interior import AnySwath, fill_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, places_on, turn_pieces
+from planning.coverage.refill import RefillCut, with_refills
 from planning.coverage.swath import directions_of
 from planning.coverage.swath_order import is_ordered
 from planning.coverage.work_line import WorkLine, lines_of
@@ -49,11 +50,16 @@ class Region:
 
 @dataclass(frozen=True)
 class Route:
-    """All pieces in order, with the swaths and headland passes that they work."""
+    """All pieces in order, with the swaths and headland passes that they work.
+
+    `moved`: number of swaths that are not worked in the order of the mission.
+    """
 
     pieces: list[RoutePiece]
     swaths: list[AnySwath]
     headland_passes: list[HeadlandPass]
+    moved: int = 0
+    refills: Sequence[RefillCut] = ()
 
 
 def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
@@ -74,10 +80,13 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
     back = [] if lane is None else _return(connector, tour, lane)
     routes = [*visits, found]
-    pieces = [piece for one in routes for piece in one.pieces]
+    worked = [piece for one in routes for piece in one.pieces]
+    pieces, cuts = [*entry, *worked, *back] if worked else [], list[RefillCut]()
+    if work.refill is not None:
+        pieces, cuts = with_refills(pieces, [region.connector for region in regions], work.refill)
     return Route(
-        [*entry, *pieces, *back] if pieces else [], [s for one in routes for s in one.swaths],
-        [p for one in routes for p in one.headland_passes],
+        pieces, [s for one in routes for s in one.swaths], [p for one in routes for p in one.headland_passes],
+        sum(one.moved for one in routes), cuts,
     )  # fmt: skip
 
 
@@ -128,7 +137,7 @@ def _passes_after(
     passes = [p for p in found.headland_passes if not any(p is m for m in headland.missed)]
     late = [s.line.source for s in after.stops if isinstance(s.line.source, HeadlandPass)]
     pieces = [*found.pieces, *headland.pieces, *after.pieces]
-    return after, Route(pieces, found.swaths, [*passes, *late])
+    return after, Route(pieces, found.swaths, [*passes, *late], found.moved)
 
 
 def _drive_to(
@@ -164,7 +173,7 @@ def _filled_route(
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
     swaths = [s for s in sources if isinstance(s, AnySwath)]
-    return tour, Route(tour.pieces, swaths, passes)
+    return tour, Route(tour.pieces, swaths, passes, tour.moved)
 
 
 @dataclass

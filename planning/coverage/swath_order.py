@@ -62,11 +62,12 @@ def skipping(rows: Sequence[int], step: int) -> list[int]:
     return [row for k, way in enumerate(ways) for row in (way[::-1] if k % 2 else way)]
 
 
-def out_of_order(planned: Sequence[Visit], driven: Sequence[int]) -> list[int]:
-    """Those of the driven lines that follow another one than in the planned order of those driven."""
+def moved(planned: Sequence[Visit], driven: Sequence[int], work: Work) -> int:
+    """Number of the driven lines that do not follow the one of the planned order; without `swath_skip` of the first."""
     expected = [line for line, _ in planned if line in driven]
-    before = dict(zip(expected, [-1, *expected], strict=False))
-    return [line for last, line in zip([-1, *driven], driven, strict=False) if before.get(line, last) != last]
+    count = 1 if work.swath_skip is None else len(driven)
+    last = dict(zip(expected, [-1, *expected], strict=False))
+    return sum(last[line] != before for before, line in zip([-1, *driven], driven[:count], strict=False))
 
 
 def _nearest(cost: Float64, at: int, line: int) -> tuple[float, int]:
