@@ -104,6 +104,15 @@ class Plan:
         return dict(sorted(areas.items(), key=lambda a: -a[1]))
 
     @property
+    def refill_labels(self) -> dict[tuple[float, float], str]:
+        """Numbers of the refill stops at each place in `map`."""
+        found: dict[tuple[float, float], str] = {}
+        for stop in self.refills:
+            at = round(stop.place.x_m, 2), round(stop.place.y_m, 2)
+            found[at] = f"{found[at]}, {stop.number}" if at in found else f"{stop.number}"
+        return found
+
+    @property
     def fixed_paths(self) -> tuple[Path, ...]:
         """Paths driven as planned: all but those into the dock."""
         return self.paths[: len(self.paths) - len(self.docking_paths)]

@@ -45,9 +45,7 @@ def drive_lines(
     return replace(tour, moved=moved(planned, numbers, work))
 
 
-def _drive(
-    connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine], work: Work
-) -> Tour:
+def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine], work: Work) -> Tour:
     """The lines in order; where none is reached from the last one, that is put aside until another has been driven.
 
     It is left out the second time. Of the tours up to such dead ends the one that works most is taken.

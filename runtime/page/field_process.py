@@ -143,7 +143,10 @@ def plan(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
         has_gate=bool(setup.site.gates),
         uncovered=tuple((reason, round(area_m2, 1)) for reason, area_m2 in found.uncovered_m2.items()),
         map=static_map(Scene(setup.site, setup.vehicle, setup.implement))
-        | {"sections": sections_of(found), "guide": guide_of(setup.mission)},
+        | {"sections": sections_of(found), "guide": guide_of(setup.mission)}
+        | {"refills": [[[*at], numbers] for at, numbers in found.refill_labels.items()]},
+        refills=tuple((round(r.worked_m2, 1), round(r.driven_m, 1)) for r in found.refills),
+        moved_swaths=found.moved_swaths,
     )
     write_result(result, folder / PLAN)
     return {}
