@@ -64,7 +64,8 @@ class Work(Config):
         Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
     )
     gate_m: tuple[Coordinate, Coordinate] | None = Field(
-        default=None, description="point in `map`: the gate is on the edge of the field file next to it"
+        default=None,
+        description="point in `map`: the gate of the site next to it, or on the edge of the field file next to it",
     )
     lane_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = Field(
         default=(), description="points in `map` from the edge of the field file, where the gate is, to the yard"
