@@ -23,6 +23,7 @@ from messages.errors import ConfigError, HeadlandError
 MIN_LINE_M, GUIDE_M = 1.0, 2000.0  # least distance of A and B; drawn to both sides of A
 MAX_FIELD_BYTES = 20_000_000
 MAX_FILES = 20
+OF_THE_PLAN = ("sections", "guide", "labels", "margins")  # lines of a map that are not of the outline
 MAX_NOTE, MAX_REASON = 300, 40
 MAX_AT_M = 20_000.0  # from the origin of the map
 
@@ -263,7 +264,8 @@ class PlanDesk:
         options = self.options
         points = [("1", options.swaths_from_m), ("R", None if options.refill is None else options.refill.at_m)]
         labelled = [[[*at_m], name] for name, at_m in points if at_m is not None]
-        return {"refills": labelled, "margins": [[m.from_m, m.to_m] for m in options.margins]}
+        found = {"labels": labelled, "margins": [[m.from_m, m.to_m] for m in options.margins]}
+        return {name: shown for name, shown in found.items() if shown}
 
     def set_option(self, name: str, value: str, by: str) -> None:
         """Changes an option, by a person; a plan with other ones is void."""
@@ -343,9 +345,7 @@ class PlanDesk:
             self.draft = self.store.reopen(stored)
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
-        self.outline = {
-            name: lines for name, lines in self.plan.map.items() if name not in ("sections", "guide", "refills")
-        }
+        self.outline = {name: lines for name, lines in self.plan.map.items() if name not in OF_THE_PLAN}
         self.no_go_m, self.gate_m, self.lane_m = work.no_go_m, work.gate_m, work.lane_m
         drawn = len(work.no_go_m)  # the last areas of the site; they are drawn from the mission
         self.outline["no_go"] = self.outline["no_go"][: len(self.outline["no_go"]) - drawn]

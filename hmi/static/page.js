@@ -140,7 +140,7 @@ window.headland = (() => {
     still.walls.forEach((wall) => stroke(context, wall, toPx, "#5b3a1e", 4));
     still.gates.forEach((gate) => stroke(context, gate, toPx, "#fff", 4));
     (still.margins || []).forEach((ends) => stroke(context, ends, toPx, "#b45a00", 4, false, [4, 6]));
-    (still.refills || []).forEach(([at, label]) => drawLabel(context, toPx(at), label));
+    (still.labels || []).forEach(([at, label]) => drawLabel(context, toPx(at), label));
     stroke(context, map.trail, toPx, "#111", 2);
     const triggered = moving.points && moving.points.length > 0;
     fill(context, moving.field, toPx, triggered ? "rgba(163,0,20,0.30)" : "rgba(11,61,145,0.15)");
