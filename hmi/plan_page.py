@@ -21,7 +21,7 @@ AREAS = (
     ("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("lane", "plan.lane"), ("remove_areas", "plan.remove_areas")
 )  # fmt: skip
 ENDED = ("outline", "driven", "no_go", "lane")  # drawings that are ended by a button
-AMOUNTS = ("margin", "refill")  # drawn with an amount and a reason
+AMOUNTS = {"margin": "3", "refill": "10000"}  # drawn with an amount (m, m²), at first this, and a reason
 PLACED = ("swaths_from", *(f"{name}{part}" for name in AMOUNTS for part in ("", "_amount", "_reason")))
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
@@ -312,12 +312,12 @@ class PlanPage(View):
     def _places(self) -> str:
         """Side of the first row, margins and refill place, with amount and reason of the last two."""
         texts, found = self.texts, self.button("swaths_from", "plan.swaths_from")
-        for name in AMOUNTS:
-            inputs = (f"{name}_amount", f"{name}_reason")
-            for one in inputs:
-                value = f'maxlength="40" autocomplete="off" value="{escape(texts(f"plan.{one}_value"))}"'
-                found += f'<label>{escape(texts(f"plan.{one}"))}<input id="{one}" {value}></label>'
-            found += self.button(name, f"plan.{name}", taken_from=" ".join(inputs))
+        for name, amount in AMOUNTS.items():
+            values = {f"{name}_amount": amount, f"{name}_reason": texts(f"plan.{name}_reason_value")}
+            for one, value in values.items():
+                field = f'<input id="{one}" maxlength="40" autocomplete="off" value="{escape(value)}">'
+                found += f"<label>{escape(texts(f'plan.{one}'))}{field}</label>"
+            found += self.button(name, f"plan.{name}", taken_from=" ".join(values))
         return found + self.button("remove_places", "plan.remove_places")
 
     def _options_card(self) -> str:
