@@ -28,7 +28,7 @@ DATUM = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
 FIELD = box(0.0, 0.0, 110.0, 80.0)
 POND = FIELD.difference(box(45.0, 30.0, 65.0, 50.0))
 L_SHAPE = Polygon([(0, 0), (150, 0), (150, 50), (50, 50), (50, 140), (0, 140)])
-SEED = {"at_m": (40.0, -3.0), "every_m2": 3000.0, "reason": "seed"}
+SEED = {"at_m": (40.0, -3.0), "every_m2": 3500.0, "reason": "seed"}
 Make = Callable[..., Plan]
 
 

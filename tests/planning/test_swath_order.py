@@ -134,8 +134,11 @@ def test_along_a_curve_lines_are_left_out(planned: Make) -> None:
 
 @pytest.mark.parametrize("headland", ["last", "none"])
 def test_with_another_order_of_the_headland(headland: str, planned: Make) -> None:
+    """Without passes other remains at the ends of the swaths are reached; what is not is reported with its reason."""
     plan, free = planned(RECTANGLE, swath_skip=2, headland=headland), planned(RECTANGLE, headland=headland)
-    assert plan.planned_share > free.planned_share - 0.002
+    assert plan.planned_share > free.planned_share - (0.02 if headland == "none" else 0.002)
+    bare = sum(plan.uncovered_m2.values()) / plan.field_area_m2
+    assert bare == pytest.approx(1.0 - plan.planned_share, abs=0.002)
 
 
 def test_by_an_independent_sweep(planned: Make, vehicle: Vehicle, harrow: MountedImplement) -> None:
