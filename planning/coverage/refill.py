@@ -18,7 +18,7 @@ from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.search import Connection, Leg, straight
 
-NEAR_M = 30.0  # from the point that the mission names to the place
+NEAR_M = 30.0  # from the point that the mission names to the outline and to the place
 STRAIGHT_M = 4.0  # before and behind the place, forwards
 STRIDE, STEP_M = 20, 2.0  # between two poses: points of a pass, and along the edge without one
 OFF_EDGE_M = (0.1, 1.0, 2.5)  # beside an edge without headland passes, beyond the margin
@@ -166,7 +166,8 @@ def _spots(connector: PathConnector, refill: Refill) -> list[list[Pose2]]:
         if Polygon(area.outline_m).contains(point):
             raise FieldError(f"refill: {_named(connector, refill)} is in {area.name}: name a place at the edge")
     found = list[list[Pose2]]()
-    for line in _beside_edge(connector):
+    is_near = point.distance(connector.drivable.field.exterior) <= NEAR_M
+    for line in _beside_edge(connector) if is_near else ():
         near = sorted(line, key=lambda pose: round(point.distance(Point(pose[:2])), 3))
         near = [pose for pose in near if point.distance(Point(pose[:2])) <= NEAR_M]
         both = ([pose, Pose2(pose.x_m, pose.y_m, pose.yaw_rad + math.pi)] for pose in near)

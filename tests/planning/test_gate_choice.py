@@ -13,8 +13,8 @@ from planning.plan import plan_field
 
 EAST = Gate(name="east gate", posts_m=((58.0, -0.8), (66.0, -0.8)))
 TO_EAST = (
-    Lane(name="east 1", center_m=((20.0, -34.0), (20.0, -27.0), (34.0, -14.0)), width_m=8.0),
-    Lane(name="east 2", center_m=((34.0, -14.0), (62.0, -13.0), (62.0, 6.0)), width_m=8.0),
+    Lane(name="east 1", center_m=((20.0, -31.0), (20.0, -16.0), (40.0, -16.0)), width_m=16.0),
+    Lane(name="east 2", center_m=((40.0, -16.0), (62.0, -16.0), (62.0, 6.0)), width_m=16.0),
 )
 
 
