@@ -199,9 +199,9 @@ def test_side_margin_and_refill_are_placed_by_clicks(anna: Any, folder: Path) ->
     (folder / "places.geojson").write_bytes(geojson(name="field with places"))
     load(anna, folder / "places.geojson")
     wait_for(anna, "#hint", "^field with places$")
-    box = anna.locator("#map").bounding_box()
 
     def click(x: float, y: float) -> None:
+        box = anna.locator("#map").bounding_box()  # the page scrolls to what is filled in
         anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
     anna.select_option("#swath_skip", "1")
