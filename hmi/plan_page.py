@@ -306,19 +306,21 @@ class PlanPage(View):
         areas = "".join(self.button(*one) for one in AREAS)
         drive = self.button("drive", "plan.drive") + self.select("side", "plan.side")
         note = f'<p class="hl-note">{escape(texts("plan.formats"))}</p>'
-        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas, self._places()))
+        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas, *self._places()))
         return self.card("field", f"{upload}{note}{select}{pairs}")
 
-    def _places(self) -> str:
+    def _places(self) -> list[str]:
         """Side of the first row, margins and refill place, with amount and reason of the last two."""
-        texts, found = self.texts, self.button("swaths_from", "plan.swaths_from")
+        texts, found = self.texts, list[str]()
         for name, amount in AMOUNTS.items():
             values = {f"{name}_amount": amount, f"{name}_reason": texts(f"plan.{name}_reason_value")}
+            inputs = ""
             for one, value in values.items():
                 field = f'<input id="{one}" maxlength="40" autocomplete="off" value="{escape(value)}">'
-                found += f"<label>{escape(texts(f'plan.{one}'))}{field}</label>"
-            found += self.button(name, f"plan.{name}", taken_from=" ".join(values))
-        return found + self.button("remove_places", "plan.remove_places")
+                inputs += f"<label>{escape(texts(f'plan.{one}'))}{field}</label>"
+            found += [inputs, self.button(name, f"plan.{name}", taken_from=" ".join(values))]
+        side = self.button("swaths_from", "plan.swaths_from")
+        return [*found, side + self.button("remove_places", "plan.remove_places")]
 
     def _options_card(self) -> str:
         names = (
