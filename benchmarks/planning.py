@@ -2,14 +2,15 @@
 
     ./headland benchmark planning [--groups textbook random registers] [--widths 3 6 12]
                                   [--turns reverse forward trailed] [--sample N] [--seed SEED]
-                                  [--limit SECONDS] [--bound] [--pictures] [--out FOLDER]
+                                  [--limit SECONDS] [--bound] [--pictures] [--work JSON] [--out FOLDER]
 
 Each plan runs in a process of its own, forked after imports and kernels; its processor time is that of the process and
 its children. Results are appended to FOLDER/results.jsonl; a second call continues, and prints the tables.
 Parcels are read from HEADLAND_DATA, else from ../shared/data. A parcel counts where its largest inscribed circle is at
 least 4 working widths wide; above 20 ha with the widest implement alone. `--sample` draws N parcels of the registers,
 each with one of its widths. `--turns trailed` turns forwards with a trailed disc harrow. `--bound` adds the share of
-each field that is workable by any plan (`planning_bound.py`).
+each field that is workable by any plan (`planning_bound.py`). `--work` sets keys of `work`, such as
+'{"swath_skip": 1}': with another FOLDER.
 """
 
 import argparse
@@ -56,6 +57,7 @@ class Case:
     parcel: Parcel
     width_m: float
     turns: Turns
+    settings: str = "{}"  # of `work`, JSON
 
     @property
     def key(self) -> str:
@@ -84,6 +86,7 @@ def run(case: Case, picture: Path | None) -> dict[str, Any]:
     vehicle, implement = load(Vehicle, find("machines", "tractor_e")), implement_of(case.width_m, case.turns)
     planning = parse(PlanningConfig, read_yaml(CONFIGS / "stack/planning.yaml"), "stack/planning.yaml")
     polygon, work = case.parcel.polygon, work_of(case.width_m, case.turns)
+    work = parse(Work, work.model_dump() | json.loads(case.settings), "--work")
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
     before = busy_s()
     try:
@@ -159,7 +162,8 @@ def cases(arguments: argparse.Namespace) -> Iterator[Case]:
             drawn = [k for k in rng.permutation(len(parcels)) if widths[k]][: arguments.sample]
             parcels, widths = [parcels[k] for k in drawn], [[float(rng.choice(widths[k]))] for k in drawn]
         for parcel, fitting in zip(parcels, widths, strict=True):
-            yield from (Case(parcel, width, turns) for width in fitting for turns in arguments.turns)
+            settings = arguments.work
+            yield from (Case(parcel, width, turns, settings) for width in fitting for turns in arguments.turns)
 
 
 def _widths(parcel: Parcel, widths: list[float]) -> list[float]:
@@ -226,6 +230,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=60.0)
     parser.add_argument("--bound", action="store_true")
     parser.add_argument("--pictures", action="store_true")
+    parser.add_argument("--work", default="{}")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmark-planning"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

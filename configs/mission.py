@@ -18,6 +18,14 @@ class EdgeMargin(Config):
     reason: str = Field(min_length=1, max_length=40, description="what is there, as hedge, ditch, road")
 
 
+class Refill(Config):
+    """Drives to a place at the edge, where the machine waits for an order before it goes on."""
+
+    at_m: tuple[Coordinate, Coordinate] = Field(description="point in `map`: the place is at the edge next to it")
+    every_m2: float = Field(gt=0.0, le=1e7, description="worked area after which the rig has driven there, at most")
+    reason: str = Field(default="seed", min_length=1, max_length=40, description="what is refilled")
+
+
 class Work(Config):
     """Field work."""
 
@@ -43,11 +51,21 @@ class Work(Config):
     swath_circle_m: tuple[Coordinate, Coordinate, Annotated[float, Field(gt=0.0, le=5000.0)]] | None = Field(
         default=None, description="centre in `map` and radius of a circle: swaths lie at whole spacings from it"
     )
+    swaths_from_m: tuple[Coordinate, Coordinate] | None = Field(
+        default=None, description="point in `map`: the outermost swath next to it is worked first"
+    )
+    swath_skip: Annotated[int, Field(ge=0, le=9)] | None = Field(
+        default=None,
+        description="swaths left out between two that are worked one after the other, and worked on the way back; "
+        "default: the order of least time",
+    )
+    refill: Refill | None = Field(default=None, description="stops at a place at the edge for refilling")
     no_go_m: tuple[Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=500)], ...] = (
         Field(default=(), max_length=100, description="areas to keep out of, besides those of the field file, in `map`")
     )
     gate_m: tuple[Coordinate, Coordinate] | None = Field(
-        default=None, description="point in `map`: the gate is on the edge of the field file next to it"
+        default=None,
+        description="point in `map`: the gate of the site next to it, or on the edge of the field file next to it",
     )
     lane_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(max_length=100)] = Field(
         default=(), description="points in `map` from the edge of the field file, where the gate is, to the yard"

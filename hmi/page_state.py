@@ -114,6 +114,12 @@ class PageState:
         mission = self.newest("mission", MissionStatus)
         return mission is not None and mission.state is not MissionState.WAITING
 
+    @property
+    def is_refilling(self) -> bool:
+        """Whether a mission that has been started waits at a refill place."""
+        mission = self.fresh("mission", MissionStatus)
+        return mission is not None and mission.state is MissionState.WAITING and mission.path_id >= 0
+
     def _take_fault(self, fault: Fault) -> None:
         key = (fault.source, fault.code)
         if fault.is_active:

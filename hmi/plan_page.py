@@ -11,7 +11,7 @@ from hmi.drive_view.controls import check_standing
 from hmi.drive_view.map_view import static_map
 from hmi.drive_view.row import Row, number
 from hmi.parts import Moment
-from hmi.plan_view.options import HEIGHTS_CM, MAX_PASSES, choices
+from hmi.plan_view.options import HEIGHTS_CM, MAX_PASSES, MAX_SKIP, choices
 from hmi.plan_view.progress import Progress, read_progress
 from hmi.refusal import Refused
 from hmi.scene import Scene
@@ -21,6 +21,8 @@ AREAS = (
     ("no_go", "plan.no_go"), ("gate", "plan.gate_place"), ("lane", "plan.lane"), ("remove_areas", "plan.remove_areas")
 )  # fmt: skip
 ENDED = ("outline", "driven", "no_go", "lane")  # drawings that are ended by a button
+AMOUNTS = {"margin": "3", "refill": "10000"}  # drawn with an amount (m, m²), at first this, and a reason
+PLACED = ("swaths_from", *(f"{name}{part}" for name in AMOUNTS for part in ("", "_amount", "_reason")))
 MAX_VALUE = 200  # characters
 HEADINGS = range(0, 180, 5)
 SIDES = ("left", "right", "middle")  # of the implement, along the edge of a field that is recorded
@@ -59,7 +61,7 @@ class PlanPage(View):
         answer = self.answer or error or moment.drive_error or self.parts.progress_error
         self.send(moment, {
             "draft": desk.drawing.points_m if desk.drawing.kind else None,
-            "is_open": desk.drawing.kind == "lane",
+            "is_open": desk.drawing.kind in ("lane", "margin"),
             "texts": {
                 "why": barred, "answer": answer, "hint": self._hint(), "progress": self._progress(),
                 "consent": self._consent(), "line": self._line(),
@@ -92,6 +94,12 @@ class PlanPage(View):
                 self._side = value
             case "no_go" | "gate" | "lane" | "ab":
                 desk.draw(action)
+            case "swaths_from":
+                desk.draw(action)
+            case "margin" | "refill":
+                desk.draw_place(action, value)
+            case "remove_places":
+                desk.remove_places()
             case "a_plus":
                 desk.draw_a_plus(value)
             case "guidance":
@@ -108,7 +116,10 @@ class PlanPage(View):
                 await desk.close_drawing(self.parts.drive.scene.site.datum, self.texts("plan.drawn_name"))
             case "feature":
                 await desk.choose(value)
-            case "machine" | "implement" | "headland_passes" | "headland" | "turns" | "heading_deg" | "vegetation_cm":
+            case (
+                "machine" | "implement" | "headland_passes" | "headland" | "turns" | "heading_deg" | "vegetation_cm"
+                | "swath_skip"
+            ):  # fmt: skip
                 desk.set_option(action, value, self.session.name)
             case "plan":
                 await desk.make_plan()
@@ -178,6 +189,7 @@ class PlanPage(View):
         lines = [["", self.texts("plan.no_line")], *([line.number, line.name] for line in desk.lines)]
         if options.guidance is not None and not desk.lines:  # of a stored mission, whose file is not read again
             lines.append([options.guidance, options.guidance])
+        skips = [["", self.texts("plan.auto")], *([f"{k}", f"{k}"] for k in range(MAX_SKIP + 1))]
         values: dict[str, tuple[str, list[list[str]]]] = {
             "feature": (desk.feature or "", [["", self.texts("plan.choose")], *([k, n] for k, n in desk.features)]),
             "machine": (options.machine, [[n, n] for n in choices()["machine"]]),
@@ -187,6 +199,7 @@ class PlanPage(View):
             "headland_passes": (str(options.headland_passes), [[str(n), str(n)] for n in range(1, MAX_PASSES + 1)]),
             "vegetation_cm": (height, heights),
             "guidance": (options.guidance or "", lines),
+            "swath_skip": ("" if options.swath_skip is None else f"{options.swath_skip}", skips),
             "heading_deg": (heading, [["", self.texts("plan.auto")], *([h, f"{h}°"] for h in headings)]),
         }  # fmt: skip
         found: dict[str, Any] = {
@@ -205,7 +218,9 @@ class PlanPage(View):
             "ab": {"off": is_off or desk.outline is None}, "a_plus": {"off": is_off or desk.outline is None},
             "a_plus_deg": {"off": is_off or desk.outline is None},
             "remove_line": {"off": is_off, "hidden": options.through_m is None and options.guidance is None},
-            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate", "a_plus")},
+            **{name: {"off": is_off or desk.outline is None} for name in PLACED},
+            "remove_places": {"off": is_off, "hidden": options == options.without_places()},
+            "undo": {"off": is_off, "hidden": desk.drawing.kind in ("", "gate", "a_plus", "swaths_from", "refill")},
             "close": {"off": is_off or is_too_short, "hidden": desk.drawing.kind not in ENDED},
             "plan": {"off": is_off or desk.outline is None},
             "cancel": {"off": bool(barred), "hidden": desk.job is None},
@@ -230,6 +245,11 @@ class PlanPage(View):
             Row("swaths", texts("plan.swaths"), f"{plan.swaths} · {plan.headland_passes}"),
             Row("gate", texts("plan.gate"), texts(f"plan.gate_{'yes' if plan.has_gate else 'no'}")),
         ]
+        for k, (worked_m2, driven_m) in enumerate(plan.refills, 1):
+            amounts = f"{number(worked_m2, 0, 'm²')} · {number(driven_m, 0, 'm')}"
+            rows.append(Row(f"refill{k}", texts("plan.refill_stop", number=k), amounts))
+        if plan.moved_swaths:
+            rows.append(Row("moved", texts("plan.moved"), f"{plan.moved_swaths}", "warning"))
         for reason, area_m2 in plan.uncovered:
             key = str(reason).replace(" ", "_")
             rows.append(
@@ -286,11 +306,26 @@ class PlanPage(View):
         areas = "".join(self.button(*one) for one in AREAS)
         drive = self.button("drive", "plan.drive") + self.select("side", "plan.side")
         note = f'<p class="hl-note">{escape(texts("plan.formats"))}</p>'
-        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas))
+        pairs = "".join(f'<div class="hl-pair">{one}</div>' for one in (buttons, drive, areas, *self._places()))
         return self.card("field", f"{upload}{note}{select}{pairs}")
 
+    def _places(self) -> list[str]:
+        """Side of the first row, margins and refill place, with amount and reason of the last two."""
+        texts, found = self.texts, list[str]()
+        for name, amount in AMOUNTS.items():
+            values = {f"{name}_amount": amount, f"{name}_reason": texts(f"plan.{name}_reason_value")}
+            inputs = ""
+            for one, value in values.items():
+                field = f'<input id="{one}" maxlength="40" autocomplete="off" value="{escape(value)}">'
+                inputs += f"<label>{escape(texts(f'plan.{one}'))}{field}</label>"
+            found += [inputs, self.button(name, f"plan.{name}", taken_from=" ".join(values))]
+        side = self.button("swaths_from", "plan.swaths_from")
+        return [*found, side + self.button("remove_places", "plan.remove_places")]
+
     def _options_card(self) -> str:
-        names = ("machine", "implement", "headland_passes", "headland", "turns", "heading_deg", "guidance")
+        names = (
+            "machine", "implement", "headland_passes", "headland", "turns", "swath_skip", "heading_deg", "guidance"
+        )  # fmt: skip
         selects = "".join(self.select(name, f"plan.{name}") for name in names)
         heading = '<input id="a_plus_deg" inputmode="decimal" maxlength="20" autocomplete="off">'
         label = f"<label>{escape(self.texts('plan.a_plus_deg'))}{heading}</label>"

@@ -160,7 +160,7 @@ class View(ABC):
         )
 
     def button(self, action: str, text: str, more: str = "", taken_from: str = "") -> str:
-        """Button that sends an action, with the value of the input `taken_from`; until the first update it is off."""
+        """Button that sends an action, with the values of the inputs `taken_from`; until the first update it is off."""
         source = f' data-from="{taken_from}"' if taken_from else ""
         return (
             f'<button type="button" id="{action}" data-action="{action}"{source} class="hl-primary{more}" disabled>'

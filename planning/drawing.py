@@ -26,7 +26,7 @@ UNCOVERED = {
 
 
 def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
-    """Writes a PNG: field, lanes, gate, yard, shed, planned strips, uncovered areas by reason, path by section type."""
+    """Writes a PNG: field, lanes, gate, yard, shed, planned strips, uncovered areas, path by section type, refills."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -56,6 +56,9 @@ def draw_plan(plan: Plan, site: Site, file: FilePath) -> None:
             shown.add(section.section_type)
             line = path.p_map_m[section.first : section.last + 2]
             axes.plot(line[:, 0], line[:, 1], color=COLOURS[section.section_type], linewidth=1.0, label=label)
+    for (x, y), numbers in plan.refill_labels.items():
+        axes.plot(x, y, "D", color="#d62728", markersize=7, zorder=3)
+        axes.annotate(f"refill {numbers}", (x, y), xytext=(6, 6), textcoords="offset points", fontsize=9, zorder=3)
     worked = f", {plan.planned_share:.1%} of {plan.field_area_m2 / 1e4:.2f} ha" if plan.planned_share > 0.0 else ""
     axes.set_title(f"{site.name}: {plan.length_m:.0f} m{worked}", parse_math=False)
     axes.set_xlabel("east in m")

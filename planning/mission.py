@@ -1,6 +1,6 @@
 """Mission node: publishes the path to drive, follows progress, and plans detours around persistent obstacles."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from planning.docking.dock import Docking, plan_docking
 from planning.docking.dock_approach import plan_approach, uwb_unavailable_reason
 from planning.line_shift import LineShift
 from planning.path import rest_of
-from planning.plan import Plan
+from planning.plan import Plan, RefillStop
 from planning.recovery.detour import area_without_obstacles
 from planning.recovery.obstacle_recovery import (
     ActivePath,
@@ -42,11 +42,15 @@ from planning.recovery.static_obstacles import (
 PERIOD_NS = 100_000_000
 REVERSE_CLEARANCE_M = 0.3
 EDGE_M = 0.4
+ORDERED = (Mode.START_WARNING, Mode.AUTOMATIC)
 SAME_OBSTACLE_M = 3.0  # a static track so close to the obstacle passed is the same obstacle
 
 
 class MissionNode(Node):
-    """Executes a plan path by path, from OperatorCommandKind.START to the end of the last path."""
+    """Executes a plan path by path, from OperatorCommandKind.START to the end of the last path.
+
+    At a refill place it waits until the supervisor has stopped the machine and then taken a start or resume.
+    """
 
     def __init__(self, plan: Plan, config: MissionConfig, seed: int) -> None:
         self.name = "mission"
@@ -58,7 +62,12 @@ class MissionNode(Node):
         self.runs = Every(PERIOD_NS)
         self._plan, self._config, self._seed = plan, config, seed
         self._state, self._text = MissionState.WAITING, "waiting for the start command"
-        self._steps: list[Step | Docking] = [*plan.fixed_paths, *([plan.docking] if plan.docking else [])]
+        stops = {stop.path_id: stop for stop in plan.refills}
+        self._steps: list[Step | Docking | RefillStop] = []
+        for path in plan.fixed_paths:
+            self._steps += [path, stops[path.path_id]] if path.path_id in stops else [path]
+        self._steps += [plan.docking] if plan.docking else []
+        self._has_stood = False  # at a refill place
         self._active_docking: Docking | None = None  # set when the approach into the dock has begun
         self._path_ended_ns: int | None = None  # end of a path while the next one is not available
         self._path: Path | None = None
@@ -77,9 +86,10 @@ class MissionNode(Node):
         """Publishes the status in each step and a path when it is new."""
         before = self._path
         commands = self._new_commands(now_ns, inbox)
-        if self._state is MissionState.WAITING and any(c.kind is OperatorCommandKind.START for c in commands):
-            self._state, self._path_ended_ns = MissionState.DRIVING, now_ns
-            self._start_next(now_ns, inbox)
+        if self._state is MissionState.WAITING:
+            if self._is_ordered(commands, inbox):
+                self._state, self._path_ended_ns = MissionState.DRIVING, now_ns
+                self._start_next(now_ns, inbox)
         elif self._state in (MissionState.DRIVING, MissionState.REPLANNING):
             self._follow(now_ns, inbox)
         self._shift_line(commands)
@@ -126,15 +136,32 @@ class MissionNode(Node):
     def _finish_path(self, now_ns: int, inbox: Inbox) -> None:
         assert self._path is not None
         self._blocked_ns, self._s_m = None, float(self._path.s_m[-1])
-        if self._steps:
+        if self._steps and isinstance(self._steps[0], RefillStop):
+            stop, *self._steps = self._steps
+            assert isinstance(stop, RefillStop)
+            self._state, self._has_stood = MissionState.WAITING, False
+            self._text = f"waiting at refill place {stop.number} ({stop.reason}) for the start command"
+        elif self._steps:
             self._path_ended_ns = now_ns
             self._start_next(now_ns, inbox)
         else:
             self._state, self._text = MissionState.FINISHED, "finished"
 
+    def _is_ordered(self, commands: list[OperatorCommand], inbox: Inbox) -> bool:
+        """Whether a start was ordered; at a refill place, whether the supervisor has stopped and taken one since."""
+        if self._path is None:
+            return any(c.kind is OperatorCommandKind.START for c in commands)
+        supervisor = inbox.latest("supervisor", SupervisorState)
+        if supervisor is None:
+            return False
+        is_engaged = supervisor.mode in ORDERED
+        self._has_stood = self._has_stood or not is_engaged
+        return self._has_stood and is_engaged
+
     def _start_next(self, now_ns: int, inbox: Inbox) -> None:
         """Starts the next step; a resume step or the dock approach is planned now, from the present observation."""
         step = self._steps[0]
+        assert not isinstance(step, RefillStop)
         if not isinstance(step, Path):
             pose = inbox.latest("map_pose", MapPose)
             if pose is None:
@@ -284,7 +311,7 @@ class MissionNode(Node):
         """The resume step still ahead on a detour."""
         return next((s for s in self._steps if isinstance(s, ResumeStep)), None)
 
-    def _switch_to(self, steps: list[Step | Docking], text: str) -> None:
+    def _switch_to(self, steps: Sequence[Step | Docking | RefillStop], text: str) -> None:
         """Replaces the present path, at its end or before."""
         self._driven_m += self._s_m
         first, *self._steps = steps
@@ -293,8 +320,10 @@ class MissionNode(Node):
         self._state, self._text = MissionState.DRIVING, text
         self._total_m = self._driven_m + sum(self._length_m(s) for s in steps)
 
-    def _length_m(self, step: Step | Docking) -> float:
+    def _length_m(self, step: Step | Docking | RefillStop) -> float:
         """Length of a step: of a resume step the rest of its line, of docking the planned length."""
+        if isinstance(step, RefillStop):
+            return 0.0
         if isinstance(step, Path):
             return float(step.s_m[-1])
         if isinstance(step, Docking):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -14,12 +15,13 @@ from configs.vehicle import Implement, TrailedImplement, Vehicle
 from geometry.arrays import runs_of
 from geometry.footprint import corners_of, worked
 from geometry.polygon import grow, open_by, parts, place_of, shrink
+from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path
 from planning.config import PlannerConfig, PlanningConfig
 from planning.coverage.headland import HeadlandPass, headland_passes_of, pass_coverage
 from planning.coverage.interior import AnySwath, area_worked, swaths_inside
-from planning.coverage.route import Region, route
+from planning.coverage.route import Region, Route, route
 from planning.docking.dock import Docking, end_of, plan_docking, plan_undocking
 from planning.field.drivable_area import DrivableArea, describe, drivable_area_of, regions_of
 from planning.guidance.line import curved_line_of
@@ -54,11 +56,27 @@ class Uncovered:
 
 
 @dataclass(frozen=True)
+class RefillStop:
+    """The machine waits at a refill place at the end of path `path_id`.
+
+    Numbered from 1, with what is worked and driven since the last one, or the start.
+    """
+
+    number: int
+    reason: str
+    place: Pose2
+    worked_m2: float
+    driven_m: float
+    path_id: int
+
+
+@dataclass(frozen=True)
 class Plan:
     """All paths of a mission; `planned_area` is the union of the planned strips in the field.
 
     The last paths, `docking_paths`, lead into the dock from the planned end of work and show that one exists; they are
-    replanned by `docking` from the measured pose.
+    replanned by `docking` from the measured pose. `moved_swaths` are not worked in the order that the mission sets: no
+    turn leads there.
     """
 
     paths: tuple[Path, ...]
@@ -74,6 +92,8 @@ class Plan:
     folded_rig: Rig
     docking: Docking | None = None
     docking_paths: tuple[Path, ...] = ()
+    refills: tuple[RefillStop, ...] = ()
+    moved_swaths: int = 0
 
     @property
     def uncovered_m2(self) -> dict[str, float]:
@@ -82,6 +102,15 @@ class Plan:
         for part in self.uncovered:
             areas[part.reason] = areas.get(part.reason, 0.0) + part.area_m2
         return dict(sorted(areas.items(), key=lambda a: -a[1]))
+
+    @property
+    def refill_labels(self) -> dict[tuple[float, float], str]:
+        """Numbers of the refill stops at each place in `map`."""
+        found: dict[tuple[float, float], str] = {}
+        for stop in self.refills:
+            at = round(stop.place.x_m, 2), round(stop.place.y_m, 2)
+            found[at] = f"{found[at]}, {stop.number}" if at in found else f"{stop.number}"
+        return found
 
     @property
     def fixed_paths(self) -> tuple[Path, ...]:
@@ -124,7 +153,16 @@ def plan_mission(
     start_pose = end_of(fixed_paths[-1]) if fixed_paths else start.pose
     docking_paths = plan_docking(start_pose, docking, len(fixed_paths) + 1)
     paths = (*fixed_paths, *docking_paths)
-    return replace(plan, paths=paths, length_m=_length_m(paths), docking=docking, docking_paths=docking_paths)
+    refills = tuple(_shifted(stop, undocking) for stop in plan.refills)
+    return replace(
+        plan, paths=paths, length_m=_length_m(paths), docking=docking, docking_paths=docking_paths, refills=refills
+    )
+
+
+def _shifted(stop: RefillStop, before: Sequence[Path]) -> RefillStop:
+    """A refill stop after further paths before the plan of the field."""
+    more_m = _length_m(before) if stop.number == 1 else 0.0
+    return replace(stop, path_id=stop.path_id + len(before), driven_m=stop.driven_m + more_m)
 
 
 def _check_forward(mission: Mission, implement: TrailedImplement) -> None:
@@ -176,7 +214,7 @@ def plan_field(
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
     report("check")
-    paths = paths_of(found.pieces, rig, 1)
+    paths, refills = _paths(found, rig, "" if work.refill is None else work.refill.reason)
     check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m, work.margins))
     area = worked_area(paths, rig).intersection(drivable.whole)
     bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
@@ -184,8 +222,22 @@ def plan_field(
     size_m2 = drivable.whole.area
     return Plan(
         paths, area, size_m2, area.area / size_m2, _length_m(paths), uncovered, tuple(found.swaths),
-        tuple(found.headland_passes), drivable, rig, folded,
+        tuple(found.headland_passes), drivable, rig, folded, refills=refills, moved_swaths=found.moved,
     )  # fmt: skip
+
+
+def _paths(found: Route, rig: Rig, reason: str) -> tuple[tuple[Path, ...], tuple[RefillStop, ...]]:
+    """Paths of a route, of which one ends at each refill place."""
+    paths, stops = list[Path](), list[RefillStop]()
+    ends = [*(cut.pieces for cut in found.refills), len(found.pieces)]
+    for first, end in pairwise([0, *ends]):
+        before = len(paths)
+        paths += [replace(p, is_last=False) for p in paths_of(found.pieces[first:end], rig, before + 1)]
+        if len(stops) < len(found.refills):
+            cut = found.refills[len(stops)]
+            driven_m = _length_m(paths[before:])
+            stops.append(RefillStop(len(stops) + 1, reason, cut.place, cut.worked_m2, driven_m, len(paths)))
+    return (*paths[:-1], replace(paths[-1], is_last=True)), tuple(stops)
 
 
 def check_within(plan: Plan, site: Site, work: Work) -> None:

@@ -18,6 +18,7 @@ from datasets.viewer import Viewer
 from interfaces.orders.config import ORDERS, OrderKey
 from messages.errors import ConfigError
 from planning.field.field import FieldOutline, read_field, with_no_go
+from planning.field.gate_choice import with_gate
 from planning.field.site_generation import site_of, site_of_original
 from planning.guidance.recorded import choose_line, work_along
 from planning.plan import Plan, Report, check_within, ignore, plan_mission
@@ -205,9 +206,9 @@ def _site(
 ) -> Site:
     work = mission.work
     if outline is None or work is None:
-        if work is not None and (work.no_go_m or work.gate_m is not None or work.lane_m):
-            raise ConfigError("no_go_m, gate_m, lane_m: belong to a field file; give the file by --field")
-        return load(Site, find("sites", mission.site))
+        if work is not None and (work.no_go_m or work.lane_m):
+            raise ConfigError("no_go_m, lane_m: belong to a field file; give the file by --field")
+        return with_gate(load(Site, find("sites", mission.site)), None if work is None else work.gate_m)
     return site_of(outline, vehicle, implement, work)
 
 

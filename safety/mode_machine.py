@@ -30,6 +30,7 @@ class ModeMachine:
         self._config = config
         self._orders = OperatorCommands(config.authorities, config.max_confirmation_s)
         self._needs_confirmation = True
+        self._was_waiting = False
         self._cause, self._is_urgent = "", False
         self._clear, self._warned = DebounceTimer(), DebounceTimer()
         self._warning_s = config.start_warning_s
@@ -45,6 +46,7 @@ class ModeMachine:
         if situation.clock_step_s != 0.0:
             self._orders.forget_start()
             self._require_confirmation()
+        self._watch_waiting(mission)
         asked = self._orders.events(situation.now_ns, orders)
         permitted = filter_permitted(asked, situation, decision)
         if self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns):
@@ -60,6 +62,13 @@ class ModeMachine:
         if self.mode is Mode.STANDBY and (before in LATCHING or Event.RESET in permitted):
             self.fault_memory.reset()
 
+    def _watch_waiting(self, mission: MissionStatus | None) -> None:
+        """A mission that begins to wait, as at a refill place, waits where persons come near."""
+        is_waiting = mission is not None and mission.state is MissionState.WAITING
+        if is_waiting and not self._was_waiting:
+            self._require_confirmation()
+        self._was_waiting = is_waiting
+
     def _observed(self, situation: Situation, decision: Decision, mission: MissionStatus | None) -> frozenset[Event]:
         """Events other than operator commands."""
         now_ns = situation.now_ns
@@ -72,6 +81,7 @@ class ModeMachine:
             Event.HAND: decision.is_takeover,
             Event.FAULT: decision.is_fault,
             Event.DONE: is_over and not situation.is_moving,
+            Event.WAIT: self._was_waiting and not situation.is_moving,
             Event.OBSTACLE: self._is_blocked(situation, decision),
             Event.CLEAR: clear_s >= self._config.resume_clear_s and not situation.is_departure_unresolved,
             Event.WARNED: warned_s >= self._warning_s,
@@ -111,7 +121,7 @@ class ModeMachine:
         return self._orders.is_just_confirmed
 
     def _require_confirmation(self) -> None:
-        """Somebody may be near the machine, unseen: after power-on, a clock step, and manual driving."""
+        """Somebody may be near, unseen: after power-on, a clock step, manual driving, and while a mission waits."""
         self._needs_confirmation = True
         self._orders.forget_confirmation()
 

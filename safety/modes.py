@@ -5,6 +5,7 @@ MANUAL ───────────────► STANDBY ─────�
   ▲                      ▲   ▲                 ▲                  │ done                │ clear for some seconds
   │ hand, MANUAL command   │   │ RESET           └──────────────────┼─────────────────────┘
   └── all but EMERGENCY  │   └─ FAULT_STOP, EMERGENCY_STOP        └─► FINISHED
+                         └───────────── mission waits ◄──────── AUTOMATIC
 """
 
 from enum import IntEnum
@@ -23,10 +24,11 @@ class Event(IntEnum):
     RESET = 5
     AUTOMATIC = 6
     DONE = 7
-    OBSTACLE = 8
-    START = 9
-    CLEAR = 10
-    WARNED = 11
+    WAIT = 8
+    OBSTACLE = 9
+    START = 10
+    CLEAR = 11
+    WARNED = 12
 
 
 PERSON = frozenset({Event.MANUAL, Event.PAUSE, Event.RESET, Event.AUTOMATIC, Event.START})
@@ -47,7 +49,7 @@ TRANSITIONS: dict[Mode, dict[Event, Mode]] = {
     Mode.MANUAL: {Event.EMERGENCY: Mode.EMERGENCY_STOP, Event.AUTOMATIC: Mode.STANDBY},
     Mode.STANDBY: {**_IDLE, Event.START: Mode.START_WARNING},
     Mode.START_WARNING: {**_ENGAGED, Event.OBSTACLE: Mode.OBSTACLE_STOP, Event.WARNED: Mode.AUTOMATIC},
-    Mode.AUTOMATIC: {**_ENGAGED, Event.OBSTACLE: Mode.OBSTACLE_STOP},
+    Mode.AUTOMATIC: {**_ENGAGED, Event.WAIT: Mode.STANDBY, Event.OBSTACLE: Mode.OBSTACLE_STOP},
     Mode.OBSTACLE_STOP: {**_ENGAGED, Event.CLEAR: Mode.START_WARNING},
     Mode.FAULT_STOP: {**_IDLE, Event.RESET: Mode.STANDBY},
     Mode.EMERGENCY_STOP: {Event.RESET: Mode.STANDBY},

@@ -58,6 +58,8 @@ def _silence(state: PageState, texts: Texts) -> str:
 
 def _cause(state: PageState, supervisor: SupervisorState, texts: Texts, rule_text_zh: RuleText) -> str:
     code = supervisor.reason
+    if is_ready(supervisor) and state.is_refilling:
+        return texts("cause.refill")
     if code in ("", str(supervisor.mode)):
         return texts(f"cause.{supervisor.mode}")
     if code == UNCONFIRMED:

@@ -39,10 +39,12 @@ class NeedWatch:
 
 
 def needs_somebody(state: PageState) -> bool:
-    """A stop that does not end by itself: by a fault, an emergency, an obstacle, or silence of a begun mission."""
+    """A stop that does not end by itself: fault, emergency, obstacle, refilling, or silence of a begun mission."""
     supervisor = state.fresh("supervisor", SupervisorState)
     if supervisor is None:
         return state.is_begun
+    if supervisor.mode is Mode.STANDBY and state.is_refilling:
+        return True
     if supervisor.mode is Mode.STANDBY:
         return state.is_begun and supervisor.reason not in ("", str(Mode.STANDBY), UNCONFIRMED)
     return supervisor.mode in (Mode.FAULT_STOP, Mode.EMERGENCY_STOP, Mode.OBSTACLE_STOP)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from configs.mission import Work
+from configs.mission import EdgeMargin, Refill, Work
 from configs.site import DatumConfig
+from configs.strict import parse
 from hmi.page_state import PageState
 from hmi.plan_view.drawing import Drawing, Kind, Point, Ring
 from hmi.plan_view.field_job import FieldJob, Task
@@ -22,7 +23,8 @@ from messages.errors import ConfigError, HeadlandError
 MIN_LINE_M, GUIDE_M = 1.0, 2000.0  # least distance of A and B; drawn to both sides of A
 MAX_FIELD_BYTES = 20_000_000
 MAX_FILES = 20
-MAX_NOTE = 300
+OF_THE_PLAN = ("sections", "guide", "labels", "margins")  # lines of a map that are not of the outline
+MAX_NOTE, MAX_REASON = 300, 40
 MAX_AT_M = 20_000.0  # from the origin of the map
 
 
@@ -50,7 +52,7 @@ class PlanDesk:
 
     def _clear(self) -> None:
         """Without field, plan, guidance line and consent; the draft of another one is removed."""
-        self.options = replace(self.options.without_line(), consent=None)
+        self.options = replace(self.options.without_line().without_places(), consent=None)
         self.lines: list[FileLine] = []
         if self.draft is not None:
             self.store.remove_draft(self.draft)
@@ -89,13 +91,13 @@ class PlanDesk:
         if key not in dict(self.features):
             raise Refused("no_feature", name=key[:60])
         self.feature, self.plan, self.stored, self.error = key, None, None, ""
-        self.options = self.options.without_line()
+        self.options = self.options.without_line().without_places()
         await self._read()
 
     def draw(self, kind: Kind, side: str = "") -> None:
         """Begins what is drawn by clicks, or by driving along the edge of the field with one side of the implement."""
         self._check_free()
-        if kind in ("no_go", "gate", "lane", "ab", "a_plus"):
+        if kind not in ("outline", "driven"):
             if self.outline is None:
                 raise Refused("no_field")
         else:
@@ -113,6 +115,18 @@ class PlanDesk:
         self.draw("a_plus")
         self.drawing.heading_deg = heading_deg
 
+    def draw_place(self, kind: Kind, amount_and_reason: str) -> None:
+        """Begins a margin (m) or a refill place (m²) with its reason; the clicks follow."""
+        amount, _, reason = amount_and_reason.strip().partition(" ")
+        try:
+            number = float(amount)
+        except ValueError:
+            number = math.nan
+        if not number >= 0.0 or not reason.strip():
+            raise Refused("amount", value=amount_and_reason[:40])
+        self.draw(kind)
+        self.drawing.amount, self.drawing.reason = number, plain_name(reason, MAX_REASON)
+
     def add_point(self, x_m: float, y_m: float) -> None:
         """A corner in the shown `map`; the point of a gate, and the last one of a guidance line, end their drawing."""
         if not (math.isfinite(x_m) and math.isfinite(y_m) and max(abs(x_m), abs(y_m)) <= MAX_AT_M):
@@ -125,6 +139,10 @@ class PlanDesk:
             self._check_free()
             self.drawing.add(x_m, y_m)
             self._take_line()
+        elif self.drawing.kind in ("swaths_from", "margin", "refill"):
+            self._check_free()
+            self.drawing.add(x_m, y_m)
+            self._take_place()
         elif self.drawing.kind != "driven":
             self.drawing.add(x_m, y_m)
 
@@ -142,6 +160,29 @@ class PlanDesk:
             heading_deg = math.degrees(math.atan2(b_m[0] - a_m[0], b_m[1] - a_m[1]))
         self.drawing = Drawing()
         self._set_options(self.options.with_line(a_m, heading_deg))
+
+    def _take_place(self) -> None:
+        """Takes the side of the first swath, the refill place, or a margin between two points; raises ConfigError."""
+        drawing, options = self.drawing, self.options
+        at_m, reason = drawing.points_m[-1], drawing.reason
+        if drawing.kind == "margin" and len(drawing.points_m) < 2:
+            return
+        self.drawing = Drawing()
+        if drawing.kind == "swaths_from":
+            changed = replace(options, swaths_from_m=at_m)
+        elif drawing.kind == "refill":
+            refill = parse(Refill, {"at_m": at_m, "every_m2": drawing.amount, "reason": reason}, "refill")
+            changed = replace(options, refill=refill)
+        else:
+            ends = {"from_m": drawing.points_m[0], "to_m": at_m}
+            margin = parse(EdgeMargin, {**ends, "margin_m": drawing.amount, "reason": reason}, "margin")
+            changed = replace(options, margins=(*options.margins, margin))
+        self._set_options(changed)
+
+    def remove_places(self) -> None:
+        """Removes side of the first swath, margins and refill place."""
+        self._check_free()
+        self._set_options(self.options.without_places())
 
     def remove_line(self) -> None:
         """Swaths without guidance line."""
@@ -215,7 +256,16 @@ class PlanDesk:
         gates = [[self.gate_m, self.gate_m]] if self.gate_m is not None else outline["gates"]
         lanes = [self.lane_m] if self.lane_m else outline["lanes"]
         no_go = [*outline["no_go"], *self.no_go_m]
-        return outline | {"no_go": no_go, "gates": gates, "lanes": lanes, "guide": self.guide}
+        return outline | {"no_go": no_go, "gates": gates, "lanes": lanes, "guide": self.guide} | self.places
+
+    @property
+    def places(self) -> dict[str, Any]:
+        """Side of the first swath and refill place, and ends of the margins, for the map."""
+        options = self.options
+        points = [("1", options.swaths_from_m), ("R", None if options.refill is None else options.refill.at_m)]
+        labelled = [[[*at_m], name] for name, at_m in points if at_m is not None]
+        found = {"labels": labelled, "margins": [[m.from_m, m.to_m] for m in options.margins]}
+        return {name: shown for name, shown in found.items() if shown}
 
     def set_option(self, name: str, value: str, by: str) -> None:
         """Changes an option, by a person; a plan with other ones is void."""
@@ -295,7 +345,7 @@ class PlanDesk:
             self.draft = self.store.reopen(stored)
         self.options = options_of(mission, work)
         self.plan = read_result(stored.folder / PLAN)
-        self.outline = {name: lines for name, lines in self.plan.map.items() if name not in ("sections", "guide")}
+        self.outline = {name: lines for name, lines in self.plan.map.items() if name not in OF_THE_PLAN}
         self.no_go_m, self.gate_m, self.lane_m = work.no_go_m, work.gate_m, work.lane_m
         drawn = len(work.no_go_m)  # the last areas of the site; they are drawn from the mission
         self.outline["no_go"] = self.outline["no_go"][: len(self.outline["no_go"]) - drawn]

@@ -10,7 +10,7 @@ from geometry.pose2 import Pose2, to_frame
 from hmi.page_state import PageState
 from messages.motion import MapPose, Odometry
 
-Kind = Literal["", "outline", "driven", "no_go", "gate", "lane", "ab", "a_plus"]
+Kind = Literal["", "outline", "driven", "no_go", "gate", "lane", "ab", "a_plus", "swaths_from", "margin", "refill"]
 Point = tuple[float, float]
 Ring = tuple[Point, ...]
 MAX_POINTS, MIN_CORNERS, MIN_LANE = 500, 3, 2
@@ -23,13 +23,15 @@ MAX_LEVEL_M = 0.5  # protection level of a position that is recorded
 class Drawing:
     """Corners in `map` so far; `side` of the implement follows the edge: `left`, `right`, else its middle.
 
-    `heading_deg` is that of an A+ line, clockwise from north.
+    `heading_deg` is that of an A+ line, clockwise from north. `amount` and `reason`: of a margin (m) or refill (m²).
     """
 
     kind: Kind = ""
     side: str = ""
     points_m: list[Point] = field(default_factory=list)
     heading_deg: float = 0.0
+    amount: float = 0.0
+    reason: str = ""
 
     @property
     def least_points(self) -> int:

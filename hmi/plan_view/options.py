@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 import yaml
 
-from configs.mission import Consent, Mission, Work
+from configs.mission import Consent, EdgeMargin, Mission, Refill, Work
+from configs.site import Point
 from configs.strict import CONFIGS, load
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import ConfigError
 
-MAX_PASSES = 10
+MAX_PASSES, MAX_SKIP = 10, 9
 HEIGHTS_CM = (10, 15, 20, 25, 30, 35)  # of plants, for which consent can be given
 Turns = Literal["forward", "reverse"]
 Headland = Literal["first", "last", "none"]
@@ -27,7 +28,7 @@ class PlanOptions:
     """What is chosen; `heading_deg` is clockwise from north, None: found by the planner.
 
     The guidance line of the swaths has that heading through the point `through_m` in `map`, or `guidance` is the number
-    of a line of the field file.
+    of a line of the field file. `swath_skip`, `swaths_from_m`, `margins` and `refill` are those of `Work`.
     `consent` of the person who has chosen a height of plants, None: no work where plants hide whoever lies there.
     """
 
@@ -40,6 +41,10 @@ class PlanOptions:
     guidance: str | None = None
     consent: Consent | None = None
     headland: Headland = "first"
+    swath_skip: int | None = None
+    swaths_from_m: Point | None = None
+    margins: tuple[EdgeMargin, ...] = ()
+    refill: Refill | None = None
 
     def changed(self, name: str, value: str, by: str) -> "PlanOptions":
         """Options with one changed, by a person; raises ConfigError that names the value."""
@@ -47,6 +52,8 @@ class PlanOptions:
             low, high = HEIGHTS_CM[0], HEIGHTS_CM[-1]
             consent = None if value == "" else Consent(by=by, vegetation_m=_whole(name, value, low, high) / 100.0)
             return replace(self, consent=consent)
+        if name == "swath_skip":
+            return replace(self, swath_skip=None if value == AUTO else _whole(name, value, 0, MAX_SKIP))
         if name == "headland_passes":
             return replace(self, headland_passes=_whole(name, value, 1, MAX_PASSES))
         if name == "heading_deg":
@@ -55,6 +62,10 @@ class PlanOptions:
         if name not in choices() or value not in choices()[name]:
             raise ConfigError(f"{name} {value[:60]!r}: not one of {', '.join(choices().get(name, ()))}")
         return replace(self, **{name: value})  # type: ignore[arg-type]
+
+    def without_places(self) -> "PlanOptions":
+        """Options without what belongs to places of one field."""
+        return replace(self, swaths_from_m=None, margins=(), refill=None)
 
     def without_line(self) -> "PlanOptions":
         """Options without guidance line."""
@@ -75,6 +86,8 @@ class PlanOptions:
         changes = {
             "headland_passes": self.headland_passes, "headland": self.headland, "turns": self.turns,
             "swath_direction_deg": direction, "swath_through_m": self.through_m, "guidance": self.guidance,
+            "swath_skip": self.swath_skip, "swaths_from_m": self.swaths_from_m, "margins": self.margins,
+            "refill": self.refill,
         }  # fmt: skip
         return Mission(
             name=name, site="field", machine=self.machine, implement=self.implement,
@@ -88,7 +101,7 @@ def options_of(mission: Mission, work: Work) -> PlanOptions:
     heading = None if yaw is None else round((90.0 - yaw) % 360.0, 3)
     return PlanOptions(
         mission.machine, mission.implement, work.headland_passes, work.turns, heading, work.swath_through_m,
-        work.guidance, mission.consent, work.headland,
+        work.guidance, mission.consent, work.headland, work.swath_skip, work.swaths_from_m, work.margins, work.refill,
     )  # fmt: skip
 
 

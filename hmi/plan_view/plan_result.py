@@ -9,7 +9,10 @@ from messages.errors import ConfigError
 
 
 class PlanResult(Config):
-    """Figures of a plan, the areas that it does not work by reason (m²), and its lines for the map."""
+    """Figures of a plan, the areas that it does not work by reason (m²), and its lines for the map.
+
+    `refills`: area worked (m²) and distance driven (m) before each one.
+    """
 
     length_m: float
     time_s: float
@@ -21,6 +24,8 @@ class PlanResult(Config):
     has_gate: bool
     uncovered: tuple[tuple[str, float], ...]
     map: dict[str, Any]
+    refills: tuple[tuple[float, float], ...] = ()
+    moved_swaths: int = 0
 
 
 def write_result(result: PlanResult, path: Path) -> None:

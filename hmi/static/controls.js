@@ -125,14 +125,14 @@ window.headlandControls = (() => {
       showSwitch();
       return;
     }
-    const from = byId(control.dataset.from || "");
+    const from = (control.dataset.from || "").split(" ").filter(Boolean).map((id) => byId(id).value);
     const frame = document.querySelector("iframe.hl-stop");
     if (control.dataset.action === "self_test" && frame) { // by the process of the emergency stop alone
       const address = new URL(frame.src);
       address.pathname = "/check";
       frame.src = address.href;
     }
-    send({action: control.dataset.action, value: from ? from.value : control.dataset.value || ""});
+    send({action: control.dataset.action, value: from.length ? from.join(" ") : control.dataset.value || ""});
   });
   document.addEventListener("change", (event) => {
     const control = event.target;

@@ -139,6 +139,8 @@ window.headland = (() => {
     still.no_go.forEach((area) => { fill(context, area, toPx, "#f3c7c7"); stroke(context, area, toPx, "#a30014", 3, true); });
     still.walls.forEach((wall) => stroke(context, wall, toPx, "#5b3a1e", 4));
     still.gates.forEach((gate) => stroke(context, gate, toPx, "#fff", 4));
+    (still.margins || []).forEach((ends) => stroke(context, ends, toPx, "#b45a00", 4, false, [4, 6]));
+    (still.labels || []).forEach(([at, label]) => drawLabel(context, toPx(at), label));
     stroke(context, map.trail, toPx, "#111", 2);
     const triggered = moving.points && moving.points.length > 0;
     fill(context, moving.field, toPx, triggered ? "rgba(163,0,20,0.30)" : "rgba(11,61,145,0.15)");
@@ -153,6 +155,13 @@ window.headland = (() => {
     (moving.tracks || []).forEach((track) => drawTrack(context, track, toPx, scale, labels));
     if (map.draft) drawDraft(context, toPx);
     if (byId("map-waiting")) byId("map-waiting").hidden = Boolean(pose);
+  }
+
+  function drawLabel(context, [x, y], label) { // numbered place
+    context.font = "600 16px sans-serif";
+    const width = context.measureText(label).width + 12;
+    context.fillStyle = "#7a0010"; context.fillRect(x - width / 2, y - 12, width, 24);
+    context.fillStyle = "#fff"; context.fillText(label, x - width / 2 + 6, y + 6);
   }
 
   function drawDraft(context, toPx) { // outline that is drawn, with its corners

@@ -6,7 +6,7 @@ begins and ends without curvature, as the turn before and after it: the curvatur
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -32,11 +32,16 @@ CHANGE = 1.3  # length of a change to the next ring, of that of two arcs
 
 @dataclass(frozen=True)
 class CurvedSwath:
-    """A curved line with work; legs of `base` from a to b and from b to a, None where not drivable."""
+    """A curved line with work; legs of `base` from a to b and from b to a, None where not drivable.
+
+    `row` is the number of its guidance line.
+    """
 
     number: int
     onwards: Leg | None
     back: Leg | None
+    block: int = 0
+    row: float = 0.0
 
     @property
     def longer(self) -> Leg:
@@ -77,7 +82,8 @@ def curved_swaths_over(
         if line.is_closed and is_wanted.all() and is_free[0].all() and is_free[1].all():
             rings.append(line)
             continue
-        found += _on_open(*_opened(line, is_wanted, is_free), rig, space)
+        open_swaths = _on_open(*_opened(line, is_wanted, is_free), rig, space)
+        found += [replace(swath, row=float(line.number)) for swath in open_swaths]
     return [*found, *_ring_swaths(rings, area, pitch_m, rig)]
 
 
@@ -222,6 +228,6 @@ def _ring_swaths(rings: Sequence[OffsetLine], area: BaseGeometry, pitch_m: float
         index = (first + np.arange(n + CLOSING + 1)) % n
         heading = np.unwrap(ring.heading_rad[:-1][index])
         leg = Leg(1, ring.points_m[:-1][index], heading, ring.curvature_radpm[:-1][index])
-        found.append(CurvedSwath(0, _ramped(leg), _ramped(leg.back)))
+        found.append(CurvedSwath(0, _ramped(leg), _ramped(leg.back), row=float(ring.number)))
         ahead = ring.points_m[(first + CLOSING + round(change_m / STEP_M)) % n]
     return found[::-1]

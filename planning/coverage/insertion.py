@@ -54,10 +54,11 @@ class Stop:
 
 @dataclass(frozen=True)
 class Tour:
-    """Drive over lines from `start`."""
+    """Drive over lines from `start`; `moved` of them are not in the order of the mission."""
 
     start: Pose2
     stops: list[Stop]
+    moved: int = 0
 
     def place(self, count: int) -> tuple[Pose2, float]:
         """Pose after the first `count` stops, and the straight length behind it."""
@@ -116,12 +117,12 @@ def _between(connector: PathConnector, tour: Tour, home: Pose2 | None, line: Wor
         behind_m = line.straight_m(is_reversed)
         if at == len(tour.stops):
             if home is None or connector.find(connector.home_request(end, home, behind_m)) is not None:
-                return Tour(tour.start, first)
+                return replace(tour, stops=first)
             continue
         following = tour.stops[at]
         way = connector.turn(_request(connector, end, following, behind_m))
         if way is not None:
-            return Tour(tour.start, [*first, replace(following, way=way), *tour.stops[at + 1 :]])
+            return replace(tour, stops=[*first, replace(following, way=way), *tour.stops[at + 1 :]])
     return None
 
 
@@ -138,7 +139,7 @@ def _excursion(connector: PathConnector, tour: Tour, line: WorkLine) -> Tour | N
             stop = _reached(connector, tour, line, at, is_reversed, is_inwards, is_thorough)
             if stop is not None:
                 stops = [*tour.stops[:at], replace(stop, is_excursion=True), *tour.stops[at:]]
-                return Tour(tour.start, stops)
+                return replace(tour, stops=stops)
     return None
 
 

@@ -9,6 +9,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
+from geometry.arrays import Float64
 from geometry.polygon import open_by, parts, polygon_of, shrink
 from planning.coverage.blocks import blocks_of
 from planning.coverage.curved_swath import CurvedSwath, area_of, curved_swaths_over
@@ -77,10 +78,17 @@ def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> l
         return [*curved_swaths_over(wide, curved, rig, work.overlap_m, space)]
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
     min_m = rig.min_swath_m
-    found = list[AnySwath]()
+    found, number = list[AnySwath](), 0
     for part in parts(area, worth_of(rig, False).least_m2):
         for block in blocks_of(part, rig.working_width_m) if direction is None else [part]:
             grown = block.buffer(GROWN_M, join_style="mitre")
             for strip in strips_of(grown, rig.working_width_m, work.overlap_m, min_m, direction, work.swath_through_m):
-                found += swaths_on(strip, rig, space)
+                found += [replace(s, block=number, row=_row(strip)) for s in swaths_on(strip, rig, space)]
+            number += 1
     return found
+
+
+def _row(strip: Float64) -> float:
+    """Distance of the line through a strip (2, 2) from the origin, left positive; equal along one line."""
+    (x, y), (dx, dy) = strip[0], strip[1] - strip[0]
+    return round(float(dx * y - dy * x) / math.hypot(dx, dy), 2)

@@ -1,14 +1,17 @@
 """Driving swaths and open headland passes in an order of short turns."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from planning.coverage.insertion import Stop, Tour, inserted
 from planning.coverage.order import Visit, order
+from planning.coverage.swath_order import first_line, is_ordered, moved, skip_order
 from planning.coverage.work_line import WorkLine
 from planning.turns.connector import PathConnector
 from planning.turns.search import STEP_M, Connection, bounds_s
@@ -21,26 +24,33 @@ NO_TURN_S = 400.0
 NOT_DRIVABLE_S = 1e6
 
 
-def drive_lines(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
+def drive_lines(
+    connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine], work: Work
+) -> Tour:
     """The lines in order from `start`, so that `home` is reached from the last.
 
     A line that is not reached is left out, and so is one that cannot be left. With reversing, where lines lie in dead
     ends, the others are then ordered again. Lines that were left out are then put in where a turn leads to them.
     """
-    tour = _drive(connector, start, home, lines)
+    tour = _drive(connector, start, home, lines, work)
     if connector.rig.has_reverse and len(tour.stops) < len(lines):
-        again = _drive(connector, start, home, [line for line in lines if tour.has(line)])
+        again = _drive(connector, start, home, [line for line in lines if tour.has(line)], work)
         if len(again.stops) == len(tour.stops) and again.turns_s < tour.turns_s:
             tour = again
-    return inserted(connector, tour, home, [line for line in lines if not tour.has(line)])
+    tour = inserted(connector, tour, home, [line for line in lines if not tour.has(line)])
+    if not is_ordered(work):
+        return tour
+    planned, driven = _ordered(connector, start, home, lines, work), [s.line for s in tour.stops]
+    numbers = [k for line in driven for k, one in enumerate(lines) if one is line]
+    return replace(tour, moved=moved(planned, numbers, work))
 
 
-def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
+def _drive(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine], work: Work) -> Tour:
     """The lines in order; where none is reached from the last one, that is put aside until another has been driven.
 
     It is left out the second time. Of the tours up to such dead ends the one that works most is taken.
     """
-    left, aside = _ordered(connector, start, home, lines), list[Visit]()
+    left, aside = _ordered(connector, start, home, lines, work), list[Visit]()
     driven, best = list[tuple[Visit, Connection]](), list[tuple[Visit, Connection]]()
     failures, times_aside, steps_back = [0] * len(lines), [0] * len(lines), 0
     while True:
@@ -125,12 +135,22 @@ def _end(lines: Sequence[WorkLine], visit: Visit) -> Pose2:
     return leg.pose(-1)
 
 
-def _ordered(connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine]) -> list[Visit]:
-    """Order by time: bounds of turns that turn out too short are replaced by real times, and the order is repeated."""
+def _ordered(
+    connector: PathConnector, start: Pose2, home: Pose2 | None, lines: Sequence[WorkLine], work: Work
+) -> list[Visit]:
+    """Order by time: bounds of turns that turn out too short are replaced by real times, and the order is repeated.
+
+    A mission may set the first swath, or with `swath_skip` the complete order.
+    """
     if not lines:
         return []
     visits = [line.ends(r) for line in lines for r in (False, True)]
     cost = _bounds(connector, start, home, visits)
+    if work.swath_skip is not None:
+        return skip_order(lines, cost, work, connector.rig.working_width_m)
+    first = None if work.swaths_from_m is None else first_line(lines, work.swaths_from_m)
+    if first is not None:
+        cost[-1, [k for k in range(len(visits)) if k // 2 != first]] += NOT_DRIVABLE_S
     starts = [None if v is None else v[0] for v in visits] + [home]
     ends = [None if v is None else v[1] for v in visits] + [start]
     best: tuple[float, list[Visit]] = (np.inf, [])

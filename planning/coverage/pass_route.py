@@ -47,13 +47,15 @@ class _Entry:
         return 0.0 if self.turn is None else self.turn.way.time_s
 
 
-def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] | None) -> PassDrive:
-    """Drives the closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
+def drive_passes(
+    connector: PathConnector, start: Pose2, goals: Sequence[Pose2] | None, rings: Sequence[HeadlandPass]
+) -> PassDrive:
+    """Drives closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
 
     A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge. One that
     cannot be left for another pass or a goal is not driven, except without goals (None).
     """
-    left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in connector.headland_passes if ring.is_closed]
+    left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in rings]
     if connector.rig.trailer is not None:
         for ring, entries in left:
             _follow(connector, ring, entries)
@@ -69,7 +71,9 @@ def drive_passes(connector: PathConnector, start: Pose2, goals: Sequence[Pose2] 
             number += 1
             continue
         connection, last = best
-        pieces += [*turn_pieces(connection, ring.number), *_loop(ring, last)]
+        first, *others_of_loop = _loop(ring, last)
+        more = [replace(piece, continues=True) for piece in others_of_loop]
+        pieces += [*turn_pieces(connection, ring.number), first, *more]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number = 0  # those that were not reached before may be now

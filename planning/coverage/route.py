@@ -24,7 +24,9 @@ from planning.coverage.insertion import Tour, inserted
 from planning.coverage.interior import AnySwath, fill_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, places_on, turn_pieces
+from planning.coverage.refill import RefillCut, with_refills
 from planning.coverage.swath import directions_of
+from planning.coverage.swath_order import is_ordered
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
 from planning.turns.connector import PathConnector, RoutePiece
@@ -48,11 +50,16 @@ class Region:
 
 @dataclass(frozen=True)
 class Route:
-    """All pieces in order, with the swaths and headland passes that they work."""
+    """All pieces in order, with the swaths and headland passes that they work.
+
+    `moved`: number of swaths that are not worked in the order of the mission.
+    """
 
     pieces: list[RoutePiece]
     swaths: list[AnySwath]
     headland_passes: list[HeadlandPass]
+    moved: int = 0
+    refills: Sequence[RefillCut] = ()
 
 
 def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
@@ -73,10 +80,13 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
     back = [] if lane is None else _return(connector, tour, lane)
     routes = [*visits, found]
-    pieces = [piece for one in routes for piece in one.pieces]
+    worked = [piece for one in routes for piece in one.pieces]
+    pieces, cuts = [*entry, *worked, *back] if worked else [], list[RefillCut]()
+    if work.refill is not None:
+        pieces, cuts = with_refills(pieces, [region.connector for region in regions], work.refill)
     return Route(
-        [*entry, *pieces, *back] if pieces else [], [s for one in routes for s in one.swaths],
-        [p for one in routes for p in one.headland_passes],
+        pieces, [s for one in routes for s in one.swaths], [p for one in routes for p in one.headland_passes],
+        sum(one.moved for one in routes), cuts,
     )  # fmt: skip
 
 
@@ -89,14 +99,20 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
     if work.headland == "last":
         return _worked_last(region, start, home, work, number)
     if work.headland == "none":
-        tour = drive_lines(connector, start, home, lines_of(region.swaths, (), -connector.rig.working_x_m))
+        tour = drive_lines(connector, start, home, lines_of(region.swaths, (), -connector.rig.working_x_m), work)
         return _filled_route(connector, home, tour, work, [], number)
-    goals = [e[0] for line in _lines(connector, region.swaths, []) for r in (False, True) if (e := line.ends(r))]
-    headland = drive_passes(connector, start, goals if home is None else [*goals, home])
+    lines, rings = _lines(connector, region.swaths, []), [p for p in connector.headland_passes if p.is_closed]
+    goals = [e[0] for line in lines for r in (False, True) if (e := line.ends(r))]
+    headland = drive_passes(connector, start, goals if home is None else [*goals, home], rings)
     if home is None and not headland.pieces:
-        headland = drive_passes(connector, start, None)  # nothing else is reached: the last pass may end anywhere
-    tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed))
-    closed = [p for p in connector.headland_passes if p.is_closed and not any(p is m for m in headland.missed)]
+        headland = drive_passes(connector, start, None, rings)  # nothing else is reached: the last may end anywhere
+    if headland.missed and is_ordered(work):
+        tour, onto = _drive_to(connector, headland.end, lines, headland.missed, home, work)
+        tour, found = _filled_route(connector, onto, tour, work, rings, number)
+        tour, found = _passes_after(connector, tour, found, headland.missed, home, work)
+        return tour, replace(found, pieces=[*headland.pieces, *found.pieces])
+    tour = drive_lines(connector, headland.end, home, _lines(connector, region.swaths, headland.missed), work)
+    closed = [p for p in rings if not any(p is m for m in headland.missed)]
     tour, found = _filled_route(connector, home, tour, work, closed, number)
     return tour, replace(found, pieces=[*headland.pieces, *found.pieces])
 
@@ -106,33 +122,39 @@ def _worked_last(region: Region, start: Pose2, home: Pose2 | None, work: Work, n
     connector = region.connector
     lines = _lines(connector, region.swaths, [])
     closed = [p for p in connector.headland_passes if p.is_closed]
-    tour, onto = _drive_to(connector, start, lines, closed, home)
+    tour, onto = _drive_to(connector, start, lines, closed, home, work)
     tour, found = _filled_route(connector, onto, tour, work, closed, number)
-    headland = drive_passes(connector, tour.place(len(tour.stops))[0], None if home is None else [home])
+    return _passes_after(connector, tour, found, closed, home, work)
+
+
+def _passes_after(
+    connector: PathConnector, tour: Tour, found: Route, rings: Sequence[HeadlandPass], home: Pose2 | None, work: Work
+) -> tuple[Tour, Route]:
+    """Closed passes after a tour, then those of them that were not reached; the last tour."""
+    headland = drive_passes(connector, tour.place(len(tour.stops))[0], None if home is None else [home], rings)
     left = lines_of((), [opened(ring, connector, [headland.end]) for ring in headland.missed], 0.0)
-    after = drive_lines(connector, headland.end, home, left)
-    driven = [p for p in closed if not any(p is m for m in headland.missed)]
+    after = drive_lines(connector, headland.end, home, left, work)
+    passes = [p for p in found.headland_passes if not any(p is m for m in headland.missed)]
     late = [s.line.source for s in after.stops if isinstance(s.line.source, HeadlandPass)]
-    open_passes = [p for p in found.headland_passes if not p.is_closed]
     pieces = [*found.pieces, *headland.pieces, *after.pieces]
-    return after, Route(pieces, found.swaths, [*driven, *open_passes, *late])
+    return after, Route(pieces, found.swaths, [*passes, *late], found.moved)
 
 
 def _drive_to(
     connector: PathConnector, start: Pose2, lines: Sequence[WorkLine], closed: Sequence[HeadlandPass],
-    home: Pose2 | None,
+    home: Pose2 | None, work: Work,
 ) -> tuple[Tour, Pose2 | None]:  # fmt: skip
     """The tour over most lines of those from whose end a closed pass, the innermost first, is reached; and where."""
     near = home if home is not None else start
     poses = [pose for ring in reversed(closed) for pose in places_on(ring, connector.rig.radius_m, near)[:PLACES]]
     best: tuple[Tour, Pose2 | None] | None = None
     for onto in poses:
-        tour = drive_lines(connector, start, onto, lines)
+        tour = drive_lines(connector, start, onto, lines, work)
         if best is None or len(tour.stops) > len(best[0].stops):
             best = tour, onto
         if len(tour.stops) == len(lines):
             break
-    return best if best is not None else (drive_lines(connector, start, home, lines), home)
+    return best if best is not None else (drive_lines(connector, start, home, lines, work), home)
 
 
 def _filled_route(
@@ -151,7 +173,7 @@ def _filled_route(
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
     swaths = [s for s in sources if isinstance(s, AnySwath)]
-    return tour, Route(tour.pieces, swaths, passes)
+    return tour, Route(tour.pieces, swaths, passes, tour.moved)
 
 
 @dataclass

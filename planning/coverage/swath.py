@@ -29,11 +29,14 @@ class Swath:
 
     Near an edge the two directions reach different ends: the front of the rig is far ahead of the working line.
     `onwards_m` and `back_m` are start and end of work (2, 2) from a to b and from b to a; None where not drivable.
+    `block` numbers the area that is worked in one direction, `row` rises across the swaths of one.
     """
 
     number: int
     onwards_m: Float64 | None
     back_m: Float64 | None
+    block: int = 0
+    row: float = 0.0
 
     @property
     def length_m(self) -> float:

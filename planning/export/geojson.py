@@ -14,7 +14,7 @@ from planning.plan import Plan
 
 
 def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
-    """FeatureCollection in degrees: field, no-go areas, planned strips, path sections, uncovered areas."""
+    """FeatureCollection in degrees: field, no-go areas, planned strips, path sections, uncovered areas, refills."""
     degrees = degrees_of(site.datum)
 
     def feature(shape: BaseGeometry, **properties: Any) -> dict[str, Any]:
@@ -34,6 +34,9 @@ def plan_to_geojson(plan: Plan, site: Site) -> dict[str, Any]:
     found += [
         feature(u.outline, kind="uncovered", reason=u.reason, area_m2=round(u.area_m2, 1)) for u in plan.uncovered
     ]
+    for stop in plan.refills:
+        amounts = {"worked_m2": round(stop.worked_m2, 1), "driven_m": round(stop.driven_m, 1)}
+        found.append(feature(shapely.Point(stop.place[:2]), kind="refill", number=stop.number, **amounts))
     return {"type": "FeatureCollection", "name": site.name, "features": found}
 
 

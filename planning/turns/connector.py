@@ -22,7 +22,8 @@ BEGINNING = 300  # points of a line, 30 m: then a trailed implement has forgotte
 class RoutePiece:
     """Part of a route in one direction.
 
-    `is_working`: the implement works on all of it. `is_transport`: it is folded.
+    `is_working`: the implement works on all of it. `is_transport`: it is folded. `continues`: it belongs to the same
+    line as the piece before it.
     """
 
     section_type: PathSectionType
@@ -30,6 +31,7 @@ class RoutePiece:
     leg: Leg
     is_working: bool
     is_transport: bool = False
+    continues: bool = False
 
 
 @dataclass
@@ -64,9 +66,10 @@ class PathConnector:
 
     def find(self, request: ConnectionRequest) -> Connection | None:
         """Free connection or None, thoroughly: also along the headland passes."""
-        turn = self.turn(request)
-        if turn is not None:
-            return turn
+        return self.turn(request) or self.along(request)
+
+    def along(self, request: ConnectionRequest) -> Connection | None:
+        """Free connection along the headland passes, or None."""
         if request not in self.transits:
             way = along_passes(request, self.space, self.rig.turn_times, self.tracks)
             self.transits[request] = self._onto_line(request, way)

@@ -38,6 +38,17 @@ def main(arguments: argparse.Namespace) -> int:
             "uncovered": [
                 {"reason": u.reason, "area_m2": round(u.area_m2, 2), "place_m": u.place_map_m} for u in plan.uncovered
             ],
+            "moved_swaths": plan.moved_swaths,
+            "refills": [
+                {
+                    "number": r.number,
+                    "reason": r.reason,
+                    "place_m": [round(v, 2) for v in r.place[:2]],
+                    "worked_m2": round(r.worked_m2, 1),
+                    "driven_m": round(r.driven_m, 1),
+                }
+                for r in plan.refills
+            ],
             "run_dir": str(folder.path),
         }
         folder.record("conditions", versions() | {"seed": str(setup.seed)})
@@ -62,6 +73,17 @@ def main(arguments: argparse.Namespace) -> int:
     if work is not None and (passes := plan.rig.headland_passes(work)) > work.headland_passes:
         sys.stderr.write(
             f"note: {passes} headland passes instead of {work.headland_passes}: the trailed implement needs a run-in\n"
+        )
+    if not arguments.json:
+        for r in plan.refills:
+            sys.stdout.write(
+                f"refill {r.number} ({r.reason}) at x {r.place.x_m:.1f} m, y {r.place.y_m:.1f} m: "
+                f"{r.worked_m2:.0f} m² worked, {r.driven_m:.0f} m driven since the last one\n"
+            )
+    if plan.moved_swaths:
+        sys.stderr.write(
+            f"note: {plan.moved_swaths} swaths are worked in another order than swath_skip or swaths_from_m set: "
+            "no turn leads from one to the next\n"
         )
     least = 0.0 if setup.mission.work is None else setup.mission.work.least_planned_share
     if plan.planned_share >= least:

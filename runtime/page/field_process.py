@@ -130,20 +130,24 @@ def plan(folder: pathlib.Path, feature: str | None) -> dict[str, Any]:
     mission = str(folder / MISSION)
     field = str(field_of(folder))
     setup = load_setup(mission, None, None, field, SEED, feature=feature, report=lambda stage: say(stage=stage))
-    found = setup.plan
+    found, work = setup.plan, setup.mission.work
     write_geojson(found, setup.surveyed, folder / "plan.geojson")
     result = PlanResult(
         length_m=round(found.length_m, 1),
         time_s=round(sum(driving_s(path) for path in found.paths), 1),
         planned_share=round(found.planned_share, 4),
-        least_share=setup.mission.work.least_planned_share if setup.mission.work is not None else 0.0,
+        least_share=0.0 if work is None else work.least_planned_share,
         field_m2=round(found.field_area_m2, 1),
         swaths=len(found.swaths),
         headland_passes=len(found.headland_passes),
         has_gate=bool(setup.site.gates),
         uncovered=tuple((reason, round(area_m2, 1)) for reason, area_m2 in found.uncovered_m2.items()),
         map=static_map(Scene(setup.site, setup.vehicle, setup.implement))
-        | {"sections": sections_of(found), "guide": guide_of(setup.mission)},
+        | {"sections": sections_of(found), "guide": guide_of(setup.mission)}
+        | {"labels": [[[*at], numbers] for at, numbers in found.refill_labels.items()]}
+        | {"margins": [] if work is None else [[m.from_m, m.to_m] for m in work.margins]},
+        refills=tuple((round(r.worked_m2, 1), round(r.driven_m, 1)) for r in found.refills),
+        moved_swaths=found.moved_swaths,
     )
     write_result(result, folder / PLAN)
     return {}

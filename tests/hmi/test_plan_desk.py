@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import shapely
 
+from configs.mission import Refill
 from configs.site import DatumConfig
 from hmi.page_state import PageState
 from hmi.plan_view.desk import PlanDesk
@@ -246,6 +247,64 @@ def test_no_go_areas_and_gate_belong_to_the_mission(tmp_path: Path) -> None:
         shown = desk.shown_outline
         assert shown is not None
         assert len(shown["no_go"]) == 1
+
+    asyncio.run(drive())
+
+
+def test_side_margin_and_refill_belong_to_the_mission(tmp_path: Path) -> None:
+    """They are set by clicks, planned, stored and opened again; another field has none."""
+
+    async def drive() -> None:
+        desk = desk_in(tmp_path, PLANNER)
+        await desk.load({"a.geojson": geojson(corner_field(160.0))})
+        desk.draw("swaths_from")
+        desk.add_point(80.0, 165.0)
+        desk.draw_place("margin", "3 deep ditch")
+        desk.add_point(10.0, 0.0)
+        assert desk.options.margins == ()
+        desk.add_point(150.0, 0.0)
+        desk.draw_place("refill", "9000 seed")
+        desk.add_point(40.0, -2.0)
+        desk.set_option("swath_skip", "1", "anna")
+        options = desk.options
+        assert desk.drawing.kind == ""
+        assert options.swaths_from_m == (80.0, 165.0)
+        assert [(m.margin_m, m.reason) for m in options.margins] == [(3.0, "deep ditch")]
+        assert options.refill == Refill(at_m=(40.0, -2.0), every_m2=9000.0, reason="seed")
+        shown = desk.shown_outline
+        assert shown is not None
+        assert shown["labels"] == [[[80.0, 165.0], "1"], [[40.0, -2.0], "R"]]
+        assert shown["margins"] == [[(10.0, 0.0), (150.0, 0.0)]]
+        await desk.make_plan()
+        assert desk.error == ""
+        assert desk.plan is not None
+        assert len(desk.plan.refills) >= 1
+        assert all(0.0 < worked_m2 <= 9000.0 < 9000.0 + driven_m for worked_m2, driven_m in desk.plan.refills)
+        assert desk.plan.map["labels"]
+        stored = desk.store_mission("with places", "anna")
+        desk.remove_places()
+        assert desk.options == options.without_places() != options
+        desk.reopen(stored.id)
+        assert desk.options == options
+        await desk.load({"a.geojson": geojson(corner_field(160.0))})
+        assert desk.options.refill is None
+        assert desk.options.swath_skip == 1
+
+    asyncio.run(drive())
+
+
+@pytest.mark.parametrize("text", ["", "3", "ditch 3", "-1 ditch", "nan ditch", "3  "])
+def test_an_amount_without_number_or_reason_is_refused(tmp_path: Path, text: str) -> None:
+    async def drive() -> None:
+        desk = desk_in(tmp_path)
+        await desk.load({"a.kml": b"ok"})
+        with pytest.raises(Refused, match="amount"):
+            desk.draw_place("margin", text)
+        desk.draw_place("refill", "0 seed")
+        with pytest.raises(ConfigError, match="every_m2"):
+            desk.add_point(1.0, 1.0)
+        assert desk.options.refill is None
+        assert desk.drawing.kind == ""
 
     asyncio.run(drive())
 

@@ -194,6 +194,48 @@ def test_a_lane_is_drawn_by_clicks(anna: Any, folder: Path) -> None:
     anna.wait_for_selector("#remove_areas", state="hidden")
 
 
+def test_side_margin_and_refill_are_placed_by_clicks(anna: Any, folder: Path) -> None:
+    """Their ends on the map are those of the clicks; the plan has the refill stop, without them it is void."""
+    (folder / "places.geojson").write_bytes(geojson(name="field with places"))
+    load(anna, folder / "places.geojson")
+    wait_for(anna, "#hint", "^field with places$")
+
+    def click(x: float, y: float) -> None:
+        box = anna.locator("#map").bounding_box()  # the page scrolls to what is filled in
+        anna.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+
+    anna.select_option("#swath_skip", "1")
+    anna.click("#swaths_from:not([disabled])")
+    wait_for(anna, "#hint", "worked first")
+    click(0.9, 0.5)
+    wait_for(anna, "#hint", "^field with places$")
+    anna.fill("#margin_amount", "2")
+    anna.fill("#margin_reason", "hedge")
+    anna.click("#margin:not([disabled])")
+    wait_for(anna, "#hint", "0 of 2 so far")
+    click(0.3, 0.97)
+    wait_for(anna, "#hint", "1 of 2 so far")
+    click(0.6, 0.97)
+    wait_for(anna, "#hint", "^field with places$")
+    anna.fill("#refill_amount", "none")
+    anna.click("#refill:not([disabled])")
+    wait_for(anna, "#answer", "a number and a reason are needed")
+    anna.fill("#refill_amount", "3500")
+    anna.click("#refill:not([disabled])")
+    wait_for(anna, "#hint", "refill place")
+    click(0.5, 0.97)
+    wait_for(anna, "#hint", "^field with places$")
+    assert {"b45a00", "7a0010"} <= set(anna.evaluate(COLORS))  # margin and labels
+    planned(anna)
+    assert wait_for(anna, "#rows-plan [data-key=refill1]", "m²")
+    assert {"b45a00", "7a0010"} <= set(anna.evaluate(COLORS))
+    anna.screenshot(path=str(folder / "places.png"), full_page=True)
+    anna.click("#remove_places:not([disabled])")
+    anna.wait_for_selector("#rows-plan [data-key=length]", state="detached")
+    anna.wait_for_selector("#remove_places", state="hidden")
+    anna.select_option("#swath_skip", "")
+
+
 def test_rows_follow_a_guidance_line_that_is_drawn(anna: Any) -> None:
     """BD-4.2b: AB by two clicks, A+ by its heading and one."""
     box = anna.locator("#map").bounding_box()

@@ -299,9 +299,35 @@ def test_finished_mode(config: SupervisorConfig, state: MissionState) -> None:
     bench = Bench(config).driving()
     assert bench.show(state=state) is Mode.AUTOMATIC
     is_over = state in (MissionState.FINISHED, MissionState.ABORTED)
-    assert bench.show(state=state, **STANDING) is (Mode.FINISHED if is_over else Mode.AUTOMATIC)
+    after = Mode.FINISHED if is_over else Mode.STANDBY if state is MissionState.WAITING else Mode.AUTOMATIC
+    assert bench.show(state=state, **STANDING) is after
     bench.show(**STANDING)
-    assert bench.mode_machine.mode is (Mode.FINISHED if is_over else Mode.AUTOMATIC)  # the start command is used once
+    assert bench.mode_machine.mode is after  # the start command is used once
+
+
+@pytest.mark.parametrize("order", [OperatorCommandKind.START, OperatorCommandKind.RESUME])
+@pytest.mark.parametrize("is_paused", [False, True])
+def test_a_waiting_mission_needs_a_confirmation(
+    config: SupervisorConfig, order: OperatorCommandKind, is_paused: bool
+) -> None:
+    """Persons come near at a refill place: an order without, or with an earlier confirmation, is not taken."""
+    bench, waiting = Bench(config).driving(), {"state": MissionState.WAITING, **STANDING}
+    bench.confirms = False
+    early = bench.order(OperatorCommandKind.CONFIRM_CLEAR, 60.0)  # while it drives there
+    bench.mode_machine.update((early,), bench.situation, bench.decision, mission(MissionState.DRIVING))
+    assert bench.show(state=MissionState.WAITING) is Mode.AUTOMATIC  # until it stands
+    if is_paused:
+        assert bench.show(OperatorCommandKind.PAUSE, state=MissionState.DRIVING, **STANDING) is Mode.STANDBY
+    assert bench.show(**waiting) is Mode.STANDBY
+    assert bench.show(order, **waiting) is Mode.STANDBY
+    assert bench.reason == "operator_command.unconfirmed"
+    bench.mode_machine.update(
+        (bench.order(OperatorCommandKind.CONFIRM_CLEAR, 60.0),), bench.situation, bench.decision,
+        mission(MissionState.WAITING),
+    )  # fmt: skip
+    assert bench.mode_machine.mode is Mode.START_WARNING
+    assert bench.show(**waiting) is Mode.START_WARNING  # the mission has not seen it yet
+    assert bench.show(state=MissionState.DRIVING, after_s=3.0, **STANDING) is Mode.AUTOMATIC
 
 
 def test_waiting_start_after_a_clock_step(bench: Bench) -> None:

@@ -32,7 +32,7 @@ def test_transition_table() -> None:
         m.MANUAL: {e.EMERGENCY: m.EMERGENCY_STOP, e.AUTOMATIC: m.STANDBY},
         m.STANDBY: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING},
         m.START_WARNING: engaged | {e.OBSTACLE: m.OBSTACLE_STOP, e.WARNED: m.AUTOMATIC},
-        m.AUTOMATIC: engaged | {e.OBSTACLE: m.OBSTACLE_STOP},
+        m.AUTOMATIC: engaged | {e.WAIT: m.STANDBY, e.OBSTACLE: m.OBSTACLE_STOP},
         m.OBSTACLE_STOP: engaged | {e.CLEAR: m.START_WARNING},
         m.FAULT_STOP: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.RESET: m.STANDBY},
         m.EMERGENCY_STOP: {e.RESET: m.STANDBY},
@@ -48,7 +48,7 @@ def every_set() -> list[frozenset[Event]]:
 
 
 def test_all_sets_of_events() -> None:
-    """All 4 096 sets in all modes: the result is that of one of the set's events, and of the safest."""
+    """All 8 192 sets in all modes: the result is that of one of the set's events, and of the safest."""
     for mode in Mode:
         for events in every_set():
             after = next_mode(mode, events)
