@@ -141,6 +141,7 @@ class CollisionMonitor:
         """An operator has confirmed that nobody is near the machine: what is held without being seen is dropped."""
         self.departure.forget()
         self.bystanders.forget_unseen()
+        self.standing_bodies.forget_hidden()
         self.sources.forget_held()
 
     def clearance(self) -> Clearance | None:
@@ -253,11 +254,15 @@ class CollisionMonitor:
         if self._geofence is not None and pose_map is not None:
             posts_odom_m = to_frame(pose_odom, from_frame(pose_map, self._geofence.posts))
             near = without_posts(near, posts_odom_m, self._config.tracked)
-        self._critical_object = self._nearest_object(
-            near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s
-        )
         is_inside = self._inside_filter(pose_odom, pose_map)
-        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside)
+        is_among_plants = self.sources.vegetation_m > 0.0
+        self.standing_bodies.update(
+            near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, is_among_plants
+        )
+        self._critical_object = min(
+            self._nearest_object(near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s),
+            self.standing_bodies.hidden, key=lambda one: one.clearance_m,
+        )  # fmt: skip
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 

@@ -250,6 +250,8 @@ class StandingBodyConfig(Config):
     notice_s: Seconds = Field(description="time until its motion is known, before the reaction time")
     min_mps: Speed = Field(description="speed that is always allowed")
     hold_s: Seconds = Field(description="time for which one that is lost from view stays where it was")
+    lost_s: Seconds = Field(description="time after which one among plants that hide who lies counts as lost from view")
+    reach_m: Metres = Field(description="distance up to which such a one stays where it was")
 
 
 class RadarConfig(Config):

@@ -3,8 +3,9 @@
 A body that sets off is known to move only after half a second, and reaches a wing 3 m away after one and a half: at
 10 km/h there is no time to stop. Before the place where it would be passed at a gap the machine is slow enough to stop
 short of it, and there to stand before the body has crossed the gap. A body that is lost from view, joined with what it
-stands beside, stays where it was for a time, and so does one whose class changes. Outside of the geofence, trunks and
-posts of hedge and fence have the shape of a person: who comes from there counts as soon as they move.
+stands beside, stays where it was for a time, and so does one whose class changes. Among plants that hide who lies, one
+that is lost in the path may lie there, and stays until an operator confirms that nobody does. Outside of the geofence,
+trunks and posts of hedge and fence have the shape of a person: who comes from there counts as soon as they move.
 """
 
 import math
@@ -19,8 +20,8 @@ from messages.perception import ObstacleClass, Track
 from safety.config import StandingBodyConfig
 from safety.stopping_distance import Braking
 from safety.zones.bystanders import distance_to_bodies_m
-from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import box_points
+from safety.zones.swept_area import SweptArea, distance_to_contact_m
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject, box_points
 
 MAY_WALK = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})
 
@@ -38,30 +39,54 @@ NO_STANDING_BODY = StandingBody(math.inf, math.inf, ObstacleClass.UNKNOWN)
 
 
 class StandingBodies:
-    """Follows standing persons and animals by track number; `slowest` allows the lowest speed."""
+    """Follows standing persons and animals by track number; `slowest` allows the lowest speed.
+
+    `hidden`: the nearest in the path that is lost among plants.
+    """
 
     def __init__(self, config: StandingBodyConfig) -> None:
         self._config = config
         self._places: dict[int, tuple[Float64, ObstacleClass, int]] = {}  # box (9, 2) in odom, class, last seen
-        self.slowest = NO_STANDING_BODY
+        self.slowest, self.hidden = NO_STANDING_BODY, NO_CRITICAL_OBJECT
+
+    def forget_hidden(self) -> None:
+        """An operator has confirmed that nobody is near the machine."""
+        self._places.clear()
+        self.hidden = NO_CRITICAL_OBJECT
 
     def update(
         self, near: Iterable[tuple[Track, bool]], area: SweptArea, pose_odom: Float64, braking: Braking, now_ns: int,
-        is_inside: Callable[[Float64], np.ndarray] | None = None,
+        is_inside: Callable[[Float64], np.ndarray] | None, is_among_plants: bool,
     ) -> None:  # fmt: skip
         """Takes the tracks, each with whether it moves, for base at `pose_odom` (3,) in odom.
 
         `is_inside` tests points (N, 2) in odom for the geofence; None: not known, so every body counts.
+        `is_among_plants`: plants hide who lies.
         """
         for track, moves in near:
             if moves:
                 self._places.pop(track.id, None)
             elif self._may_walk(track) and (is_inside is None or is_inside(box_points(track)).all()):
                 self._places[track.id] = box_points(track), track.label, track.last_seen_ns
-        oldest_ns = now_ns - self._config.hold_s * 1e9
-        self._places = {number: place for number, place in self._places.items() if place[2] >= oldest_ns}
-        found = [self._passing(box, label, area, pose_odom, braking) for box, label, _ in self._places.values()]
+        oldest_ns, lost_ns = (now_ns - round(time_s * 1e9) for time_s in (self._config.hold_s, self._config.lost_s))
+        self._places = {
+            number: place for number, place in self._places.items()
+            if place[2] >= oldest_ns or (is_among_plants and self._is_within_reach(place[0], pose_odom))
+        }  # fmt: skip
+        lost = [(n, box, label) for n, (box, label, seen_ns) in self._places.items() if seen_ns < lost_ns]
+        ways = [CriticalObject(self._ahead_m(box, area, pose_odom), label, n) for n, box, label in lost]
+        self.hidden = min(ways if is_among_plants else (), key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
+        recent = [(box, label) for box, label, seen_ns in self._places.values() if seen_ns >= oldest_ns]
+        found = [self._passing(box, label, area, pose_odom, braking) for box, label in recent]
         self.slowest = min(found, key=lambda one: one.speed_mps, default=NO_STANDING_BODY)
+
+    def _is_within_reach(self, box_odom_m: Float64, pose_odom: Float64) -> bool:
+        return bool(np.hypot(*(box_odom_m - pose_odom[:2]).T).min() <= self._config.reach_m)
+
+    @staticmethod
+    def _ahead_m(box_odom_m: Float64, area: SweptArea, pose_odom: Float64) -> float:
+        """Distance along the swept area to a box, infinite beside it."""
+        return float(np.min(distance_to_contact_m(from_frame(pose_odom, box_odom_m), area)))
 
     def _may_walk(self, track: Track) -> bool:
         age_ns = track.last_seen_ns - track.first_seen_ns

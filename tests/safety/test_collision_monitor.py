@@ -123,9 +123,12 @@ def make(
             update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), set_hitch=Spy(None),
             update_lidars=Spy(None), clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
             lidar_hits_odom_m=np.array([(8.0, 2.0)]), holes_odom_m=np.empty((0, 2)), forget_held=Spy(None),
+            vegetation_m=0.0,
         )  # fmt: skip
         collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
-        collision_monitor.standing_bodies = SimpleNamespace(update=Spy(None))
+        collision_monitor.standing_bodies = SimpleNamespace(
+            update=Spy(None), hidden=NO_CRITICAL_OBJECT, forget_hidden=Spy(None)
+        )
         return collision_monitor
 
     return made
@@ -338,14 +341,26 @@ def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: Safet
     inside = Geofence((to_frame(POSE_MAP, base),)).contains
     collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True), posts=NO_POSTS))
     look(collision_monitor, config)
-    near, area, pose_odom, braking, now_ns, is_inside = collision_monitor.standing_bodies.update.asked
+    near, area, pose_odom, braking, now_ns, is_inside, plants = collision_monitor.standing_bodies.update.asked
+    assert plants is False
     assert (near, area) == ([], collision_monitor.swept_field.main)
     assert pose_odom == pytest.approx(POSE_ODOM)
     assert (braking, now_ns) == (config.braking.flat, START_NS)
     assert is_inside(to_frame(POSE_ODOM, np.array([(1.0, 5.9), (1.0, 6.1)]))).tolist() == [True, False]
     unknown = make(geofence=None)
     look(unknown, config)
-    assert unknown.standing_bodies.update.asked[-1] is None
+    assert unknown.standing_bodies.update.asked[-2] is None
+
+
+def test_who_is_lost_among_plants_is_a_critical_object(make: Any, config: SafetyConfig, parts: Any) -> None:
+    collision_monitor = make()
+    collision_monitor.sources.vegetation_m = 0.3
+    collision_monitor.standing_bodies.hidden = CriticalObject(2.0, ObstacleClass.PERSON, 7)
+    for nearest_m in (1.99, 2.0, 2.01):
+        parts.nearest_critical_object.answer = CriticalObject(nearest_m, ObstacleClass.VEHICLE, 3)
+        look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + round(1e6 * nearest_m), ())))
+        assert collision_monitor.standing_bodies.update.asked[-1] is True
+        assert collision_monitor.critical_object().id == (3 if nearest_m <= 2.0 else 7), nearest_m
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:
@@ -476,6 +491,7 @@ def test_departure_is_followed_while_blocked_or_unresolved(
     collision_monitor.bystanders = SimpleNamespace(forget_unseen=Spy(None))
     collision_monitor.confirm_clear()
     assert len(collision_monitor.bystanders.forget_unseen.calls) == 1
+    assert len(collision_monitor.standing_bodies.forget_hidden.calls) == 1
     assert len(collision_monitor.departure.forget.calls) == len(collision_monitor.sources.forget_held.calls) == 1
 
 

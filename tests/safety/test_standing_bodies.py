@@ -10,6 +10,7 @@ from messages.perception import ObstacleClass
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.standing_bodies import NO_STANDING_BODY, StandingBodies
+from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT
 from tests.clause import clause
 from tests.safety.safety_world import START_NS, around
 from tests.safety.test_bystanders import HERE, WING_Y, person, swept
@@ -19,13 +20,17 @@ BRAKING = Braking(0.6, 0.4, 2.5)
 
 
 @pytest.fixture
-def slowest(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig):
+def bodies(config: SupervisorConfig) -> StandingBodies:
+    return StandingBodies(config.standing_body)
+
+
+@pytest.fixture
+def slowest(bodies: StandingBodies, vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig):
     """Slowest body after one update with these tracks, each with whether it moves."""
     area = swept(vehicle, implement, config, 0.0)
-    bodies = StandingBodies(config.standing_body)
 
-    def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None):
-        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns, is_inside)
+    def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None, plants=False):
+        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns, is_inside, plants)
         return bodies.slowest
 
     return update
@@ -76,6 +81,47 @@ def test_who_is_lost_from_view_stays_for_a_time(slowest, config: SupervisorConfi
         slowest(person(1.0, WING_Y + 2.0))
         kept = slowest(now_ns=START_NS + round(late_s * 1e9))
         assert kept == (first if late_s <= config.standing_body.hold_s else NO_STANDING_BODY), late_s
+
+
+@clause("BD-5.2.4", rule="tracked_obstacle")
+def test_who_is_lost_in_the_path_among_plants_stays(slowest, bodies, config: SupervisorConfig) -> None:
+    """A person who lies down there is not seen: only a confirmation ends that, no time."""
+    seen, ahead_m = person(9.0, 0.5), []
+    for late_s in (0.0, *around(config.standing_body.lost_s, 0.01, 2), 2.0 * config.standing_body.hold_s):
+        slowest(*([seen] if late_s == 0.0 else []), now_ns=START_NS + round(late_s * 1e9), plants=True)
+        assert (bodies.hidden is NO_CRITICAL_OBJECT) == (late_s <= config.standing_body.lost_s), late_s
+    for x in (0.0, 2.0, 4.0):
+        slowest(pose=np.array([x, 0.0, 0.0]), now_ns=START_NS + 25_000_000_000, plants=True)
+        ahead_m.append(bodies.hidden.clearance_m)
+    assert bodies.hidden.label is ObstacleClass.PERSON
+    assert bodies.hidden.id == seen.id
+    assert ahead_m[0] - np.array(ahead_m) == pytest.approx([0.0, 2.0, 4.0], abs=0.26)
+    assert slowest(now_ns=START_NS + 25_000_000_000, plants=True) is NO_STANDING_BODY  # which is for who stands beside
+    bodies.forget_hidden()
+    assert bodies.hidden is NO_CRITICAL_OBJECT
+    slowest(now_ns=START_NS + 25_000_000_000, plants=True)
+    assert bodies.hidden is NO_CRITICAL_OBJECT
+
+
+@pytest.mark.parametrize(
+    ("changes", "plants"), [({}, False), ({"y": WING_Y + 2.0}, True), ({"label": ObstacleClass.UNKNOWN}, True)]
+)
+def test_who_is_not_hidden_in_the_path(slowest, bodies, changes: dict, plants: bool) -> None:
+    """Without plants low bodies are seen by the raw returns."""
+    slowest(person(9.0, **{"y": 0.5} | changes), plants=plants)
+    slowest(now_ns=START_NS + 2_000_000_000, plants=plants)
+    assert bodies.hidden.clearance_m == math.inf
+
+
+def test_who_is_far_away_is_not_hidden_for_ever(slowest, bodies, config: SupervisorConfig) -> None:
+    hold_ns = round(config.standing_body.hold_s * 1e9)
+    for apart_m in around(config.standing_body.reach_m, 0.01, 2):
+        bodies.forget_hidden()
+        body = person(9.0, 0.0, size=(0.0, 0.0, 1.7))
+        slowest(body, plants=True)
+        slowest(pose=np.array([9.0 + apart_m, 0.0, 0.0]), now_ns=START_NS + hold_ns + 1, plants=True)
+        slowest(now_ns=START_NS + hold_ns + 1, plants=True)
+        assert (bodies.hidden is NO_CRITICAL_OBJECT) == (apart_m > config.standing_body.reach_m), apart_m
 
 
 def test_class_that_changes_and_body_that_sets_off(slowest) -> None:
