@@ -2,7 +2,8 @@
 
 The centre of a body moves with its outline: where something larger is separated otherwise than in the last scan, or a
 track goes over to another part of it, the difference of their centres is no motion. Until its motion is confirmed, a
-track whose box changes that much starts again where it is now seen.
+track whose box changes that much starts again where it is now seen; at scans further apart, between which a body may
+come into view, only the evidence of its motion does.
 """
 
 import numpy as np
@@ -27,6 +28,7 @@ UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
 OTHER_PART_SHARE = 0.4  # of the longer box: a side that differs by more is that of another part
 OTHER_PART_M = 1.1  # least length of the longer box: below it limbs and hidden parts change the outline of one body
+OTHER_PART_NS = 150_000_000  # longest time between such scans, for those at 10 Hz
 STRUCTURE_SIGMA_SHARE = 0.25  # of the position sigma of a static structure
 
 
@@ -57,10 +59,11 @@ def update(
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
     correct(x, P, z, R, 0)
+    table.moving_since_ns[tracks[restarts]] = table.recent_ns[tracks[restarts]] = 0
+    restarts &= detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS
     if restarts.any():
         x[restarts], P[restarts] = start_states(detections, rows[restarts], config)
         P[restarts & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
-        table.moving_since_ns[tracks[restarts]] = table.recent_ns[tracks[restarts]] = 0
     _correct_velocity(x, P, detections, rows, config)
     table.x[tracks], table.P[tracks] = x, P
     if detections.has_bearing:
