@@ -30,6 +30,9 @@ class StaticOccupancyConfig(Config):
     speed_margin_mps: float = Field(ge=0.0, le=2.0)
     trail_s: float = Field(gt=0.0, le=5.0, description="the path of this time behind a moving body must be empty")
     trail_share: float = Field(gt=0.0, le=1.0, description="occupied share of that path which contradicts motion")
+    ahead_m: float = Field(gt=0.0, le=5.0, description="before a low line of returns, looked at for a fence to go on")
+    ahead_s: float = Field(gt=0.0, le=60.0, description="since a cell there was occupied")
+    ahead_share: float = Field(gt=0.0, le=1.0, description="occupied share that shows the fence")
 
 
 class StaticOccupancy:
@@ -77,6 +80,19 @@ class StaticOccupancy:
             contradicts,
         )
         return contradicts
+
+    def continues_ahead(self, p_m: Float64, velocity_mps: Float64, size_m: Float64, stamp_ns: int) -> Bool:
+        """Whether what bodies (T,) move towards was occupied before: they are pieces of a fence that lies there.
+
+        Of `p_m` (T, ..) only the first two columns are used.
+        """
+        continues = np.zeros(len(p_m), np.bool_)
+        c = self._config
+        _check_ahead(
+            p_m, velocity_mps, size_m, stamp_ns - round(c.ahead_s * 1e9), c.cell_m, c.ahead_m, c.ahead_share,
+            self._key, self._last_ns, continues,
+        )  # fmt: skip
+        return continues
 
 
 @kernel
@@ -130,3 +146,23 @@ def _check_trail(
             checked += 1
             occupied += key[c] == cell_key and (stamp_ns - last[c]) * 1e-9 * speed < behind - tail
         contradicts[k] = checked > 0 and occupied >= max_share * checked
+
+
+@kernel
+def _check_ahead(
+    p: Float64, velocity: Float64, size: Float64, oldest_ns: int, cell_m: float, length_m: float, min_share: float,
+    key: Int64, last: Int64, continues: Bool,
+) -> None:  # fmt: skip
+    for k in range(p.shape[0]):
+        speed = math.hypot(velocity[k, 0], velocity[k, 1])
+        if speed == 0.0:
+            continue
+        nose = math.hypot(size[k, 0], size[k, 1]) / 2.0 + cell_m  # not its own cells
+        checked = occupied = 0
+        for i in range(int(length_m / (0.5 * cell_m))):
+            ahead = nose + 0.5 * cell_m * i
+            x, y = p[k, 0] + velocity[k, 0] / speed * ahead, p[k, 1] + velocity[k, 1] / speed * ahead
+            c, cell_key = _cell(x, y, cell_m)
+            checked += 1
+            occupied += key[c] == cell_key and last[c] >= oldest_ns
+        continues[k] = checked > 0 and occupied >= min_share * checked

@@ -20,6 +20,7 @@ from perception.fusion.tracks import (
     drop_fragments,
     empty_table,
     extend_lifetime,
+    is_line_along,
     is_moving_class,
     is_rail,
     is_upright,
@@ -110,8 +111,11 @@ class Tracker(Node):
     def _tracks_message(self) -> Tracks:
         t = self._table
         velocity, covariance = velocities(t, self._config)
-        is_static = self._static_occupancy.contradicts_motion(t.x, velocity, t.size_m, self._stamp_ns)
+        occupancy = self._static_occupancy
+        is_static = occupancy.contradicts_motion(t.x, velocity, t.size_m, self._stamp_ns)
         velocity[is_static & (~is_moving_class(t.class_evidence) | is_rail(t.size_m, t.class_evidence))] = 0.0
+        is_line = is_line_along(t.size_m, t.yaw_rad, velocity)
+        velocity[is_line & occupancy.continues_ahead(t.x, velocity, t.size_m, self._stamp_ns)] = 0.0
         label, confidence = classify(t, velocity)
         velocity[is_upright(t.size_m, label)] = 0.0
         # a track without confirmed motion stays at its last detection: its uncertain speed does not move it

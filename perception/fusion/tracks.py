@@ -20,6 +20,8 @@ MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, O
 UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
+LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height
+ALONG = 0.94  # cosine of 20°
 GATED_COST = 1e9
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
 EQUAL = 0.05  # difference of log scores
@@ -104,6 +106,7 @@ def warm(config: TrackerConfig) -> None:
     static_occupancy.observe(np.zeros((1, 3), np.float32), offsets, np.ones(1), 0)
     table = empty_table()
     static_occupancy.contradicts_motion(table.x, velocities(table, config)[0], table.size_m, 0)
+    static_occupancy.continues_ahead(table.x, velocities(table, config)[0], table.size_m, 0)
     merge_fragments(table, parent_tracks(table, 0, config), 0, 0, config)
 
 
@@ -303,6 +306,13 @@ def is_rail(size_m: Float64, class_evidence: Float64) -> Bool:
     """Which tracks (T,), by class no vehicles, are as thin as a piece of fence: it moves with the rings on it."""
     is_thin = (size_m[:, 0] >= RAIL_M) & (size_m[:, 1] <= RAIL_RATIO * size_m[:, 0])
     return np.asarray(is_thin & ~is_of(class_evidence, VEHICLE))
+
+
+def is_line_along(size_m: Float64, yaw_rad: Float64, velocity_mps: Float64) -> Bool:
+    """Which tracks (T,) are low lines of returns that move along themselves, as where rings meet rails or slopes."""
+    is_line = (size_m[:, 0] >= LINE_M) & (size_m[:, 1] <= LINE_RATIO * size_m[:, 0]) & (size_m[:, 2] <= LINE_HEIGHT_M)
+    along = np.abs(velocity_mps[:, 0] * np.cos(yaw_rad) + velocity_mps[:, 1] * np.sin(yaw_rad))
+    return np.asarray(is_line & (along >= ALONG * np.hypot(*velocity_mps.T)))
 
 
 def is_upright(size_m: Float64, label: Int64) -> Bool:

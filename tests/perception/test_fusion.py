@@ -232,6 +232,27 @@ def test_piece_of_fence_does_not_move_along_it(size, moves):
     assert (max(np.hypot(*x.velocity_mps) for x in seen) > 1.0) == moves
 
 
+@pytest.mark.parametrize(("size", "heading_deg", "fence", "moves"), [
+    ((0.42, 0.05, 0.06), 0.0, True, False), ((0.42, 0.05, 0.06), 0.0, False, True),
+    ((0.42, 0.05, 0.06), 90.0, True, True), ((0.5, 0.16, 0.25), 0.0, True, True),
+])  # fmt: skip
+def test_low_line_of_returns_does_not_move_along_a_fence(size, heading_deg, fence, moves):
+    """A ring meets a rail further on as the machine drives; a hare is broader, and has free ground ahead."""
+    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+
+    def make(i, stamp):
+        if i % 10:
+            return []
+        if i < 30:  # the front lidar has passed it
+            return [detected("lidar", stamp, [[8.0, 3.0]], (16.0, 0.1, 1.2), returns=2000)] if fence else []
+        place = [[2.0 + 0.016 * i * c, 3.0 + 0.016 * i * s]]
+        return [detected("lidar", stamp, place, size, scores=shape(ObstacleClass.PERSON), returns=30)]
+
+    seen = [x for t, tracks in run(make, 3.0) if t > 1.8 for x in tracks.tracks if x.size_m[0] < 2.0]
+    assert seen
+    assert (max(np.hypot(*x.velocity_mps) for x in seen) > 1.0) == moves
+
+
 def _with(a, b):
     def both(name):
         return np.concatenate([getattr(a, name), getattr(b, name)])
