@@ -174,6 +174,7 @@ window.headland = (() => {
 
   function showAll() {
     const canvas = byId("map"), xs = map.still.boundary.concat(map.still.yard);
+    if (!canvas) return; // the view has changed since
     const [lowX, highX] = [0, 1].map((k) => Math[k ? "max" : "min"](...xs.map((p) => p[0])));
     const [lowY, highY] = [0, 1].map((k) => Math[k ? "max" : "min"](...xs.map((p) => p[1])));
     const box = canvas.getBoundingClientRect();
