@@ -114,8 +114,10 @@ window.headlandSurroundings = (() => {
   }
 
   function drawCamera() {
-    const canvas = byId("camera-image"), {width, height} = canvas.getBoundingClientRect();
-    if (!camera || !width || !height) return;
+    const canvas = byId("camera-image");
+    if (!canvas || !camera) return; // the view has changed while the image was decoded
+    const {width, height} = canvas.getBoundingClientRect();
+    if (!width || !height) return;
     const ratio = Math.min(2, window.devicePixelRatio || 1), context = canvas.getContext("2d");
     canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio);
     const scale = Math.min(canvas.width / camera.size[0], canvas.height / camera.size[1]);

@@ -32,7 +32,8 @@ class ScanPreprocessor:
         self._T_base_lidar, self._range_m, self._voxel_m = lidar.mount.T_base_sensor, range_m, voxel_m
         self.sweep_ns = round(1e9 / lidar.rate_hz)
         self._margin_m = margin_m
-        self._body, self._implement = outlines(body, implement)[0], outlines(body, implement)[-1]
+        self._body, *implements = outlines(body, implement)
+        self._implement = implements[0] if implements else self._body
         offtracking_m = -self._implement.rear_m if isinstance(implement, TrailedImplement) else 0.0  # to either side
         self._half_width_m = self._implement.half_width_m + offtracking_m
         self._waiting: dict[int, LidarScan] = {}

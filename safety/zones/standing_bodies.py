@@ -73,9 +73,11 @@ class StandingBodies:
             number: place for number, place in self._places.items()
             if place[2] >= oldest_ns or (is_among_plants and self._is_within_reach(place[0], pose_odom))
         }  # fmt: skip
-        lost = [(n, box, label) for n, (box, label, seen_ns) in self._places.items() if seen_ns < lost_ns]
-        ways = [CriticalObject(self._ahead_m(box, area, pose_odom), label, n) for n, box, label in lost]
-        self.hidden = min(ways if is_among_plants else (), key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
+        hidden = [
+            CriticalObject(self._ahead_m(box, area, pose_odom), label, number)
+            for number, (box, label, seen_ns) in self._places.items() if is_among_plants and seen_ns < lost_ns
+        ]  # fmt: skip
+        self.hidden = min(hidden, key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
         recent = [(box, label) for box, label, seen_ns in self._places.values() if seen_ns >= oldest_ns]
         found = [self._passing(box, label, area, pose_odom, braking) for box, label in recent]
         self.slowest = min(found, key=lambda one: one.speed_mps, default=NO_STANDING_BODY)
