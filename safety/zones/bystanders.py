@@ -17,7 +17,7 @@ from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import CriticalObject, box_points, predicted
+from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,21 @@ class Bystanders:
         self._places = {number: place for number, place in self._places.items() if place.is_seen}
 
     def update(
-        self, moving: Iterable[Track], tracks: Tracks | None, area: SweptArea, pose_odom: Float64, speed_mps: float,
-        predicted_s: float,
+        self, beside: Iterable[Track], ahead: Iterable[Track], tracks: Tracks | None, area: SweptArea,
+        pose_odom: Float64, speed_mps: float, predicted_s: float,
     ) -> None:  # fmt: skip
-        """Takes the moving tracks and all tracks, for base at `pose_odom` (3,) in odom with a speed along the area."""
+        """Takes the moving tracks beside and ahead, and all, for base at `pose_odom` (3,) in odom with a speed along
+        the area. Who comes from ahead is no reason to stop here, the path is checked for them, but one to stay.
+        """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
-        found = [track for track in moving if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
-        coming = self._lasting(found, 0 if tracks is None else tracks.stamp_ns)
+        found = [track for track in beside if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        sides = {track.id for track in found}
+        found += [
+            track for track in ahead
+            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, 0.0, times_s)
+        ]  # fmt: skip
+        lasting = self._lasting(found, 0 if tracks is None else tracks.stamp_ns)
+        coming = [track for track in lasting if track.id in sides]
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
         followed = dict(self._followed(seen))
@@ -87,7 +95,7 @@ class Bystanders:
             number: place
             for number, place in followed.items()
             if _gap_m(place, area, pose_odom) <= (self._config.away_m if place.is_seen else self._config.lost_m)
-        } | {track.id: place_of(track) for track in coming}
+        } | {track.id: place_of(track) for track in lasting}
 
     def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
         """Whether a moving track gets nearer to the bodies, as they move on, and can meet one of them.

@@ -21,9 +21,7 @@ from safety.config import StandingBodyConfig
 from safety.stopping_distance import Braking
 from safety.zones.bystanders import distance_to_bodies_m
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
-from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT, CriticalObject, box_points
-
-MAY_WALK = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})
+from safety.zones.tracked_obstacles import MAY_WALK, NO_CRITICAL_OBJECT, CriticalObject, box_points
 
 
 @dataclass(frozen=True)

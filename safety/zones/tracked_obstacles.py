@@ -25,6 +25,7 @@ class CriticalObject:
 
 KnownStructureFilter = Callable[[Float64], np.ndarray]
 REACH_M = 15.0  # above the reach from base of any body, margin and uncertainty
+MAY_WALK = frozenset({ObstacleClass.PERSON, ObstacleClass.ANIMAL})
 STATIC_CLASSES = frozenset({ObstacleClass.POLE, ObstacleClass.MOUND, ObstacleClass.DITCH})
 NO_CRITICAL_OBJECT = CriticalObject(math.inf, ObstacleClass.UNKNOWN, -1)
 

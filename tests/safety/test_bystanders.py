@@ -63,7 +63,7 @@ def take(
     stamp_ns: int = START_NS,
 ) -> None:  # fmt: skip
     moving = [track for track in tracks if track.velocity_mps.any()]
-    bystanders.update(moving, Tracks(stamp_ns, tracks), area, pose, speed_mps, 2.0)
+    bystanders.update(moving, (), Tracks(stamp_ns, tracks), area, pose, speed_mps, 2.0)
 
 
 @pytest.mark.parametrize("label", [ObstacleClass.UNKNOWN, ObstacleClass.PERSON])
@@ -172,6 +172,32 @@ def test_stays_until_seen_away(bystanders: Bystanders, area: SweptArea, config: 
     assert not bystanders.is_near
 
 
+def test_who_came_to_the_machine_from_ahead_keeps_it_standing(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    """As one who stands behind it after it reversed, when it then drives forward."""
+
+    def come(label: ObstacleClass, speed_mps: float) -> bool:
+        one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        for at_s in (0.0, 0.4):
+            rider = person(7.0 - speed_mps * at_s, 0.0, vx=-speed_mps, label=label)
+            one.update((), [rider], Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, 2.0)
+            assert one.coming is None
+        stands = person(front_m + 0.5, 0.0)
+        one.update((), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, 2.0)
+        is_near = one.is_near
+        left = person(front_m + config.bystanders.away_m + 0.3, 0.0)
+        one.update((), (), Tracks(START_NS, (left,)), area, HERE, 0.0, 2.0)
+        assert not one.is_near
+        return is_near
+
+    front_m = max(body.front_m for body, _ in area.bodies)
+    assert come(ObstacleClass.PERSON, 2.0)
+    assert come(ObstacleClass.ANIMAL, 2.0)
+    assert not come(ObstacleClass.VEHICLE, 2.0)
+    assert not come(ObstacleClass.PERSON, -2.0)
+
+
 def test_long_body_is_near_with_its_nearest_end(
     bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
 ) -> None:
@@ -190,7 +216,7 @@ def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config
     for _ in range(50):
         see(bystanders, area, somebody_else)
         assert bystanders.is_near
-    bystanders.update((), None, area, HERE, 0.0, 2.0)
+    bystanders.update((), (), None, area, HERE, 0.0, 2.0)
     assert bystanders.is_near
     edge = 4.0 - 0.2 - WING_Y  # gap of the nearest side of the box
     for gap_m, is_near in ((-0.01, True), (0.01, False)):  # the machine has moved on to the right
