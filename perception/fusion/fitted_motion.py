@@ -12,6 +12,7 @@ from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 
 KEPT = 12  # detections of a track
+TRAVEL_S, TRAVEL = 1.0, 1.5  # within which a body goes on by how many times its length
 
 
 class FittedMotionConfig(Config):
@@ -34,12 +35,29 @@ def remember(recent_ns: Int64, recent_m: Float64, stamp_ns: int, p_m: Float64) -
     recent_ns[:, -1], recent_m[:, -1] = stamp_ns, p_m
 
 
+def has_travelled(recent_ns: Int64, recent_m: Float64, now_ns: int, now_m: Float64, length_m: Float64) -> Bool:
+    """Whether tracks (T,), now at (T, 2), went on in both halves of the last second by more than parts of a body of a
+    length (T,) are apart: of which part each detection was does not matter then.
+    """
+    age_s = np.where(recent_ns > 0, (now_ns - recent_ns) * 1e-9, 2.0 * TRAVEL_S)
+    rows = np.arange(len(recent_ns))
+    first = np.argmax(age_s <= TRAVEL_S, axis=1)
+    start_m, age = recent_m[rows, first], age_s[rows, first]
+    middle_m = recent_m[rows, np.argmin(np.abs(age_s - 0.5 * age[:, None]), axis=1)]
+    way = now_m - start_m
+    distance_m = np.hypot(*way.T)
+    along = way / np.maximum(distance_m, 1e-9)[:, None]
+    halves_m = ((middle_m - start_m) * along).sum(axis=1), ((now_m - middle_m) * along).sum(axis=1)
+    is_far = (distance_m > TRAVEL * length_m) & (np.minimum(*halves_m) > TRAVEL / 3.0 * length_m)
+    return np.asarray(is_far & (age <= TRAVEL_S))
+
+
 def fitted_motion(
-    recent_ns: Int64, recent_m: Float64, size_m: Float64, config: FittedMotionConfig
+    recent_ns: Int64, recent_m: Float64, since_ns: Int64, size_m: Float64, config: FittedMotionConfig
 ) -> tuple[Float64, Float64, Bool]:
     """Velocity (T, 2), its sigma (T,) in each axis, and whether that is motion (T,), of tracks of a size (T, 3)."""
     t = (recent_ns - recent_ns[:, -1:]) * 1e-9
-    used = (recent_ns > 0) & (t >= -config.window_s)
+    used = (recent_ns > 0) & (recent_ns >= since_ns[:, None]) & (t >= -config.window_s)
     n = used.sum(axis=1)
     share = used / np.maximum(n, 1)[:, None]
     t = np.where(used, t - (t * share).sum(axis=1, keepdims=True), 0.0)

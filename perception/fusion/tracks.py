@@ -57,8 +57,9 @@ class TrackTable:
     """Tracks as columns of T rows, so that all are predicted and matched at once; state and size in `odom`.
 
     `moving_since_ns`: start of uninterrupted motion (0: none), `motion_origin_m`: position at that time; `has_moved`:
-    whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box; `recent_ns` and
-    `recent_m`: the last detections by lidar.
+    whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box;
+    `restarted_ns`: when the track started or went over to another part; `recent_ns`, `recent_m`: the last detections
+    by lidar.
     """
 
     id: Int64
@@ -78,6 +79,7 @@ class TrackTable:
     box_measured_ns: Int64
     is_confirmed: Int64
     sensors: Int64
+    restarted_ns: Int64
     recent_ns: Int64
     recent_m: Float64
 
@@ -116,7 +118,7 @@ def empty_table() -> TrackTable:
     none = np.zeros(0)
     return TrackTable(
         no_int, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
-        no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int,
+        no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int, no_int,
         np.zeros((0, KEPT), np.int64), np.zeros((0, KEPT, 2)),
     )  # fmt: skip
 
@@ -147,7 +149,7 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
         detections.evidence[rows], detections.class_log_scores[rows], stamp, stamp.copy(),
         stamp + nanoseconds(detections.kind.keep_unconfirmed_s),
         np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
-        np.full(n, 1 << detections.sensor, np.int64), recent_ns, recent_m,
+        np.full(n, 1 << detections.sensor, np.int64), stamp.copy(), recent_ns, recent_m,
     )  # fmt: skip
 
 
@@ -287,7 +289,9 @@ def _keep_older(found: Bool, table: TrackTable, parents: ParentTracks) -> None:
 def velocities(table: TrackTable, config: TrackerConfig) -> tuple[Float64, Float64]:
     """Velocity (T, 2) of tracks with confirmed motion, else 0: one jump is no motion; and its covariance (T, 2, 2)."""
     moves = (table.has_moved > 0) & is_moving(table.x, table.P, config)
-    slow, sigma, is_slow = fitted_motion(table.recent_ns, table.recent_m, table.size_m, config.fitted_motion)
+    slow, sigma, is_slow = fitted_motion(
+        table.recent_ns, table.recent_m, table.restarted_ns, table.size_m, config.fitted_motion
+    )
     is_slow &= ~moves
     velocity = np.where(moves[:, None], table.x[:, 2:], np.where(is_slow[:, None], slow, 0.0))
     covariance = np.where(is_slow[:, None, None], (sigma**2)[:, None, None] * np.eye(2), table.P[:, 2:, 2:])

@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fitted_motion import remember
+from perception.fusion.fitted_motion import has_travelled, remember
 from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.tracks import (
@@ -47,7 +47,7 @@ def update(
     )
     none = np.zeros(len(rows), np.bool_)
     fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else none
-    restarts = ~is_piece & _is_other_part(table, tracks, size, lidars) if detections.is_lidar else none
+    restarts = is_other = ~is_piece & _is_other_part(table, tracks, size, lidars) if detections.is_lidar else none
     was_lost = detections.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
     if fixed.any() or was_lost.any():
         _reset_velocity(x, P, detections, rows, fixed, was_lost, config)
@@ -58,9 +58,15 @@ def update(
         own = np.where(is_piece[on, None], size[on, :2], 0.0)
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
+    if is_other.any():
+        longer_m = np.maximum(size[:, 0], table.size_m[tracks, 0])
+        R[is_other] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other])[:, None, None] ** 2
+        recent = table.recent_ns[tracks], table.recent_m[tracks]
+        restarts = is_other & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
     correct(x, P, z, R, 0)
-    table.moving_since_ns[tracks[restarts]] = table.recent_ns[tracks[restarts]] = 0
-    restarts &= detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS
+    table.moving_since_ns[tracks[restarts]] = 0
+    table.restarted_ns[tracks[restarts]] = detections.stamp_ns
+    restarts = restarts & (detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS)
     if restarts.any():
         x[restarts], P[restarts] = start_states(detections, rows[restarts], config)
         P[restarts & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
