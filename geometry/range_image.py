@@ -22,6 +22,7 @@ from geometry.jit import inline_kernel, kernel
 
 COLUMNS_ASIDE = 2  # neighbours of a return: three rings by five columns
 NEAR_M, NEAR_SLOPE = 0.1, 2.0  # greatest difference of range of neighbours: noise, and per metre across: 63° of slant
+STEEP, GAP_M = 0.6, 0.4  # slope of a beam that meets a body from above, and height of that above the ground
 BESIDE_M = 0.3  # horizontal distance within which a beam returns from the same body
 BANDS_M = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)  # ends of bands of range, in which fog is about equally dense
 SECTORS, LOCAL = 24, 0.25  # of a field of view; share of the mean of isolated returns from which on one has scatter
@@ -252,7 +253,7 @@ def floating(
 ) -> tuple[Bool, Bool]:
     """Which returns, by their places `pixels` (K,) in the flattened image, have `clear_m` of clear space beneath them.
 
-    And which stand, (K,): all beams down to the ground meet their body.
+    And which stand, (K,): all beams down to the ground meet their body. What is seen steeply from above shows nothing.
 
     The space reaches from the lowest return at the distance of the return down to `ground_m`, and `ground_slope` per
     metre of distance from the sensor, above the plane z = 0 of base. Two beams or more, through `clear_m` of its
@@ -459,7 +460,7 @@ def _mark_floating(
         flat[:] = 0.0
         k = first[column]
         while k >= 0:
-            at_m, above_m, clear, passing = 0.0, 0.0, 0.0, 0
+            at_m, above_m, clear, passing, is_above = 0.0, 0.0, 0.0, 0, False
             is_whole, is_down = True, False  # all beams down from the return meet its body; they reach the ground
             for a in range(rank[pixels[k] // columns], -1, -1):
                 r = rows[a]
@@ -482,11 +483,12 @@ def _mark_floating(
                     break
                 elif ends_m >= at_m - BESIDE_M:  # a lower part of the body, or something below it
                     clear, passing = 0.0, 0
+                    is_above = rise[a] < -STEEP and end_height_m > ground_m + ground_slope * ends_m + GAP_M
                 else:
                     is_whole = False
                 above_m = height_m
             floats[k] = passing >= 2 and clear >= clear_m
-            stands[k] = is_whole and is_down and passing == 0
+            stands[k] = is_whole and is_down and passing == 0 and not is_above
             k = following[k]
 
 

@@ -141,6 +141,9 @@ class AirborneConfig(Config):
     dust_range_m: Metres = Field(description="from the sensor, within which a person has dozens of returns")
     dust_returns: int = Field(ge=1, le=1000, description="isolated returns in a scan from which on they are dust")
     clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
+    follow_s: float = Field(ge=0.0, le=1.0, description="for which what floated may fly on to where nothing shows that")
+    follow_m: Metres = Field(description="size of what floats")
+    follow_mps: float = Field(ge=0.0, le=20.0, description="at which it flies")
 
 
 class NegativeObstacleConfig(Config):

@@ -17,7 +17,9 @@ from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyC
 
 CLASSES = tuple(ObstacleClass)
 MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
-UNKNOWN, PERSON, POLE = (CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE))
+UNKNOWN, PERSON, POLE, AIRBORNE = (
+    CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE, ObstacleClass.AIRBORNE)
+)
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height

@@ -14,6 +14,7 @@ from perception.fusion.fitted_motion import has_travelled, remember
 from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import correct
 from perception.fusion.tracks import (
+    AIRBORNE,
     FRAGMENT_LENGTH_RATIO,
     TrackerConfig,
     TrackTable,
@@ -23,6 +24,7 @@ from perception.fusion.tracks import (
     start_states,
 )
 
+FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the ground before
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
 UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
@@ -102,11 +104,17 @@ def _update_boxes(
 def _add_evidence(
     table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, is_piece: Bool, config: TrackerConfig
 ) -> None:
-    """Adds evidence of existence and of class in place; echoes and fragments carry no class."""
+    """Adds evidence of existence and of class in place; echoes and fragments carry no class.
+
+    A bird in flight stays one where nothing shows the space beneath it, as before the machine.
+    """
     evidence = np.minimum(detections.evidence[rows], detections.kind.evidence)
     table.evidence[tracks] = np.minimum(table.evidence[tracks] + evidence, 10.0 * config.confirm_evidence)
     scores = detections.class_log_scores[rows]
     has_class = (scores.max(axis=1) > scores.min(axis=1)) & ~is_piece
+    flies = is_of(table.class_evidence[tracks], AIRBORNE) & (table.has_moved[tracks] > 0)
+    flies &= np.hypot(table.x[tracks, 2], table.x[tracks, 3]) >= FLIGHT_MPS
+    has_class &= ~flies | is_of(scores, AIRBORNE)
     classified = tracks[has_class]
     table.class_evidence[classified] = config.class_memory * table.class_evidence[classified] + scores[has_class]
 

@@ -48,8 +48,9 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import Returns, by_cell, cell_keys, evaluate
+from safety.sources.multiple_evaluation import Returns, by_cell, cell_keys, evaluate, floats_as_a_whole
 from safety.sources.near_field import mark_low_obstacles, near_box
+from safety.zones.departure import is_near
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
@@ -59,7 +60,8 @@ CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a milliseco
 
 class LidarSource:
     """Processes the scans of one lidar; `hits_odom_m` (N, 3) are the confirmed returns above the ground;
-    `holes_odom_m` (H, 2) are those of them that are edges of negative obstacles in the last scan.
+    `holes_odom_m` (H, 2) are those of them that are edges of negative obstacles in the last scan. `floated` has the
+    stamps of the last scans with the returns (F, 3) in odom that had clear space beneath them.
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
@@ -77,6 +79,7 @@ class LidarSource:
         self._pose_odom: Float64 = np.zeros(3)
         self.hits_odom_m: Float64 = np.empty((0, 3))
         self.holes_odom_m: Float64 = np.empty((0, 2))
+        self.floated: tuple[tuple[int, Float64], ...] = ()
         self.nominal_range_m = nominal_range_m(lidar, config.field, config.detection_range)
         self.footprint, self._config, self._consented_m = footprint, config, consented_m
         least_m = config.measured_ground.near_min_height_m
@@ -158,7 +161,11 @@ class LidarSource:
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         returns = by_cell(cell_keys(points_odom, field.cell_m))
+        others = tuple(others)
         self._ask(others, points_odom, returns, is_floating, is_standing)
+        is_floating |= floats_as_a_whole(returns, is_floating, is_standing)
+        self._keep_floated(points_odom[is_floating])
+        is_floating |= self._follows_floating(others, points_odom, returns, is_standing)
         is_hit, cells = evaluate(
             returns,
             is_high[marked],
@@ -262,17 +269,36 @@ class LidarSource:
             is_clear[is_open] |= other.shows_clear_beneath(below, self.stamp_ns)
         is_floating |= is_clear[which]
 
+    def _keep_floated(self, points_odom: Float64) -> None:
+        now_ns, kept_ns = self.stamp_ns or 0, self._config.airborne.follow_s * 1e9
+        last = tuple(seen for seen in self.floated if 0 < now_ns - seen[0] <= kept_ns)
+        self.floated = (*last, (now_ns, points_odom)) if len(points_odom) else last
+
+    def _follows_floating(
+        self, others: tuple["LidarSource", ...], points_odom: Float64, returns: Returns, is_standing: np.ndarray
+    ) -> np.ndarray:
+        """Which returns (N,) are in cells where nothing stands, as near to what floated in the last scans as a bird
+        flies, (N,) bool."""
+        follows, config = np.zeros(len(points_odom), bool), self._config.airborne
+        is_open = (returns.number(is_standing) == 0)[returns.which]
+        seen = (entry for one in (self, *others) if not one.is_frozen for entry in one.floated)
+        for stamp_ns, floated_odom_m in seen:
+            age_s = abs((self.stamp_ns or 0) - stamp_ns) * 1e-9
+            which = np.flatnonzero(is_open & ~follows)
+            if age_s <= config.follow_s and len(which):
+                reach_m = config.follow_m + config.follow_mps * age_s
+                follows[which] = is_near(points_odom[which], floated_odom_m, reach_m)
+        return follows
+
+    def is_recent(self, stamp_ns: int | None) -> bool:
+        """Whether the last scan was taken about `stamp_ns`."""
+        interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
+        return self.stamp_ns is not None and stamp_ns is not None and abs(self.stamp_ns - stamp_ns) <= interval_ns
+
     def shows_clear_beneath(self, points_odom: Float64, stamp_ns: int | None) -> np.ndarray:
         """Whether the last scan, if taken about `stamp_ns`, shows clear space below points (N, 3), (N,) bool."""
         image, field = self._image, self._config.field
-        interval_ns = self._config.lidar_agreement.max_interval_s * 1e9
-        if (
-            image is None
-            or self.stamp_ns is None
-            or stamp_ns is None
-            or self.is_frozen
-            or abs(self.stamp_ns - stamp_ns) > interval_ns
-        ):
+        if image is None or self.is_frozen or not self.is_recent(stamp_ns):
             return np.zeros(len(points_odom), bool)
         base = np.column_stack([from_frame(self._pose_odom, points_odom[:, :2]), points_odom[:, 2]])
         return clear_beneath(image, base, self._T_base_sensor, field.min_height_m, field.min_height_slope)

@@ -14,6 +14,9 @@ from geometry.ground_surface import lowest_of_cells
 
 MIN_DOUBTFUL_RATIO = 0.75  # of a cell's returns: at the edges of a bird beams prove nothing
 BITS = 21  # per axis; with cells of 0.5 m ±500 km
+NEIGHBOURS = [(i << (2 * BITS)) + (j << BITS) + k for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)]
+MIN_FLOATING, MIN_FLOATING_RATIO = 2, 0.25  # returns, and share of all, that show that a body floats
+MAX_STANDING = 0.25  # of the returns that show either; above it the body stands
 
 
 def cell_keys(points_odom_m: Float64, cell_m: float) -> Int64:
@@ -54,6 +57,28 @@ def evaluate(
     is_cell_doubtful = returns.number(is_doubtful) >= MIN_DOUBTFUL_RATIO * counts
     is_hit = np.where(is_cell_doubtful, in_two & was_seen_twice, in_one | in_two)
     return is_hit[returns.which], cells[counts >= multiple]
+
+
+def floats_as_a_whole(returns: Returns, is_floating: Bool, is_standing: Bool) -> Bool:
+    """Which returns (N,) lie in cells of a body that floats by the returns there and in the cells around, (N,) bool.
+
+    Beneath a part of it no beam passes, as at its edges and above the machine itself. Where a cell's own returns stand,
+    those around it count for nothing.
+    """
+    floats, stands = returns.number(is_floating), returns.number(is_standing)
+    is_open = (floats < MIN_DOUBTFUL_RATIO * returns.counts) & (stands <= MAX_STANDING * (floats + stands))
+    if not is_open.any() or not floats.any():
+        return np.zeros_like(is_floating)
+    numbers = np.zeros((3, np.count_nonzero(is_open)))
+    for step in NEIGHBOURS:
+        place = np.searchsorted(returns.cells, returns.cells[is_open] + step)
+        place[place == len(returns.cells)] = 0
+        found = returns.cells[place] == returns.cells[is_open] + step
+        numbers += np.where(found, np.stack([floats, stands, returns.counts])[:, place], 0.0)
+    floats, stands, counts = numbers
+    is_whole = (floats >= MIN_FLOATING) & (floats >= MIN_FLOATING_RATIO * counts)
+    is_open[is_open] = is_whole & (stands <= MAX_STANDING * (floats + stands))
+    return np.asarray(is_open[returns.which])
 
 
 def is_among(cells: Int64, some: Int64) -> Bool:

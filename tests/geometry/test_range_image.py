@@ -261,6 +261,17 @@ def test_who_is_seen_down_to_the_ground_stands(x: float) -> None:
         assert not (found[0] & found[1]).any()
 
 
+def test_what_is_seen_steeply_from_above_shows_nothing() -> None:
+    """The beam beneath a bird close to the lidar meets the ground beneath it, as it does beside a head."""
+    x_m, y_m = SIDE.mount.T_base_sensor[:2, 3]
+    for low_m, height_m in ((0.9, 0.15), (0.0, 0.3)):
+        body = box(float(x_m) + 0.4, float(y_m), 0.4, 0.6, height_m, low=low_m)
+        scan = cast([body], lidar=SIDE)
+        found = floating(image_of(scan), within(scan, SIDE, body), SIDE.mount.T_base_sensor, 0.25, 0.02, CLEAR_M)
+        assert len(found[1]) > 20
+        assert found[1].any() == (low_m == 0.0)
+
+
 def test_what_hides_or_swallows_the_beams_below_proves_nothing() -> None:
     corners = box(8.0, 0.5, *BIRD, low=1.2)
     hidden = cast([corners, box(6.0, 0.5, 0.2, 3.0, 1.6)])

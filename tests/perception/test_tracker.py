@@ -344,3 +344,41 @@ def test_prediction_by_partial_steps(step_s):
         predict(b, Q, step_s / 5, 2.0)
     assert a == pytest.approx(b)
     assert pytest.approx(Q) == P
+
+
+def _parts(speed_mps, seconds, scores, size=(0.8, 0.4, 0.15)):
+    """A body 8 m beside the machine that moves to it: scores of its class by time."""
+    scans = []
+    for i, t in enumerate(stamps(10.0, seconds)):
+        m = message(t, [[4.0, 8.0 - speed_mps * (t - START) / NS, 1.1]], size, seed=i)
+        scans.append(replace(m, class_scores=scores(i)))
+    return scans
+
+
+@pytest.mark.parametrize(("speed_mps", "label"), [(6.0, ObstacleClass.AIRBORNE), (1.5, ObstacleClass.PERSON)])
+def test_a_bird_in_flight_stays_one_where_nothing_shows_the_space_beneath(speed_mps, label):
+    floats = class_scores(np.array([[0.8, 0.4, 0.15]]), np.array([1.2]), np.array([True]), np.zeros(1, np.uint8))
+    person = np.full((1, 8), 0.4 / 7)
+    person[0, 1] = 0.6
+    published = run(new_tracker(), _parts(speed_mps, 2.0, lambda i: floats if i < 8 else person))
+    (track,) = published[-1].tracks
+    assert track.label is label
+
+
+def test_a_calf_whose_parts_alternate_is_known_to_move():
+    """Two lidars see it, one its whole length, one a part: before, the track started again with each of them."""
+    scans = []
+    for i, t in enumerate(stamps(20.0, 1.2)):
+        part = i % 2
+        y = 10.0 - 3.9 * (t - START) / NS + 0.45 * part
+        size = (0.35, 0.25, 0.5) if part else (1.25, 0.3, 0.9)
+        scans.append(message(t, [[-1.7, y, 0.6]], size, seed=i, yaw=np.pi / 2.0))
+    moved = [i for i, m in enumerate(run(new_tracker(), scans)) for t in m.tracks if t.velocity_mps[1] < -2.5]
+    assert moved
+    assert moved[0] / 20.0 <= 0.9
+    still = []
+    for i, t in enumerate(stamps(20.0, 2.0)):
+        part = i % 2
+        still.append(message(t, [[-1.7, 10.0 + 0.45 * part, 0.6]], (0.35, 0.25, 0.5) if part else (1.25, 0.3, 0.9),
+                             seed=i, yaw=np.pi / 2.0))  # fmt: skip
+    assert all(not t.velocity_mps.any() for m in run(new_tracker(), still) for t in m.tracks)

@@ -170,9 +170,9 @@ def test_a_bird_that_passes_is_no_hit_and_what_hangs_there_is(
 def test_another_lidar_shows_that_a_bird_floats(
     machine: Vehicle, implement: MountedImplement, config: SafetyConfig
 ) -> None:
-    """0.8 m before the bumper the front lidar sees nothing below 1 m; the dome beside it does, if its scan counts."""
+    """0.6 m before the bumper the front lidar sees nothing below 1 m; the dome beside it does, if its scan counts."""
     dome = machine.sensors.lidar["front_left"]
-    bird, child = box(4.3, 0.3, 0.4, 0.8, 0.15, low=1.2), box(4.3, 0.3, 0.3, 0.3, 1.2)
+    bird, child = box(4.1, 0.3, 0.4, 0.8, 0.15, low=1.2), box(4.1, 0.3, 0.3, 0.3, 1.2)
     for body, is_asked, late_ns, expected in (
         (bird, True, 0, False), (bird, False, 0, True), (bird, True, 400_000_000, True), (child, True, 0, True),
     ):  # fmt: skip
@@ -188,3 +188,29 @@ def test_another_lidar_shows_that_a_bird_floats(
     assert frozen.is_frozen
     for other in (silent, listing, frozen):
         assert take(source_of(machine, implement, config), cast([bird], stamp_ns=START_NS), other) > 0
+
+
+def test_a_bird_seen_to_float_is_followed_where_the_machine_hides_what_is_beneath(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig
+) -> None:
+    """By the last scan of any lidar, no farther and no longer than it flies, and no body that stands."""
+    far, near = box(4.1, -0.8, *BIRD, low=1.25), box(4.1, 0.2, 0.4, 0.8, 0.15, low=1.25)
+    follow_ns = round(config.airborne.follow_s * 1e9)
+
+    def hits(before: list, late_ns: int, body: object, by_other: bool = False) -> bool:
+        front, other = source_of(machine, implement, config), source_of(machine, implement, config, "front_left")
+        first = other if by_other else front
+        first.update(cast([], machine.sensors.lidar[first.name], stamp_ns=START_NS), np.zeros(3), STILL, 0.0, AREA)
+        first.floated = ((START_NS, np.array(before)),)
+        return bool(take(front, cast([body], stamp_ns=START_NS + late_ns), other))
+
+    assert hits([[9.0, 3.0, 1.3]], SCAN_NS, near)
+    for by_other in (False, True):
+        assert not hits([[4.1, -0.3, 1.3]], SCAN_NS, near, by_other)
+    assert hits([[4.1, -0.3, 1.3]], follow_ns + 1, near)
+    assert hits([[5.0, -0.1, 1.3]], SCAN_NS, box(5.5, 0.0, 0.3, 0.5, 1.75))
+    source = source_of(machine, implement, config, "front_left")
+    take(source, cast([far], machine.sensors.lidar["front_left"], stamp_ns=START_NS))
+    ((stamp_ns, floated),) = source.floated
+    assert stamp_ns == START_NS
+    assert floated[:, 2].min() > 1.0

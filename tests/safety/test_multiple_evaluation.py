@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from safety.sources.multiple_evaluation import by_cell, cell_keys, evaluate, thin
+from safety.sources.multiple_evaluation import by_cell, cell_keys, evaluate, floats_as_a_whole, thin
 
 NONE = np.empty(0, np.int64)
 
@@ -81,3 +81,25 @@ def test_thin() -> None:
     points = np.array([[1.01, 0.0, z] for z in (0.3, 0.6, 0.9)] + [[1.2, 0.0, 0.5]])
     assert len(thin(points, 0.05)) == 2
     assert len(thin(np.empty((0, 3)), 0.05)) == 0
+
+
+def test_a_body_floats_as_a_whole_by_the_cells_around() -> None:
+    """Ten returns in each of two cells side by side, and ten of another body 5 m off."""
+    x_m = np.repeat([0.1, 0.6, 5.0], 10)
+    returns = by_cell(cell_keys(np.column_stack([x_m, np.zeros(30), np.ones(30)]), 0.5))
+
+    def whole(floating: slice, standing: slice) -> list[bool]:
+        is_floating, is_standing = np.zeros((2, 30), bool)
+        is_floating[floating], is_standing[standing] = True, True
+        found = floats_as_a_whole(returns, is_floating, is_standing)
+        return [bool(found[k]) for k in (0, 10, 20)]
+
+    none = slice(0, 0)
+    assert whole(none, none) == [False, False, False]
+    assert whole(slice(0, 5), none) == [True, True, False]
+    assert whole(slice(0, 4), none) == [False, False, False]  # a fifth of the returns of both
+    assert whole(slice(0, 10), none) == [False, True, False]  # the first are marked by themselves
+    assert whole(slice(0, 6), slice(6, 8)) == [True, True, False]
+    assert whole(slice(0, 6), slice(6, 10)) == [False, False, False]
+    assert whole(slice(0, 6), slice(10, 14)) == [False, False, False]  # who stands beside it
+    assert whole(slice(20, 30), none) == [False, False, False]
