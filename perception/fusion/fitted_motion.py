@@ -11,8 +11,8 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 
-KEPT = 12  # detections of a track
-TRAVEL_S, TRAVEL = 1.0, 1.5  # within which a body goes on by how many times its length
+KEPT = 24  # detections of a track
+TRAVEL_S, TRAVEL = 1.5, 1.5  # within which a body goes on by how many times its length
 
 
 class FittedMotionConfig(Config):
@@ -36,8 +36,8 @@ def remember(recent_ns: Int64, recent_m: Float64, stamp_ns: int, p_m: Float64) -
 
 
 def has_travelled(recent_ns: Int64, recent_m: Float64, now_ns: int, now_m: Float64, length_m: Float64) -> Bool:
-    """Whether tracks (T,), now at (T, 2), went on in both halves of the last second by more than parts of a body of a
-    length (T,) are apart: of which part each detection was does not matter then.
+    """Whether tracks (T,), now at (T, 2), went on in both halves of the last `TRAVEL_S` by more than parts of a body
+    of a length (T,) are apart: of which part each detection was does not matter then.
     """
     age_s = np.where(recent_ns > 0, (now_ns - recent_ns) * 1e-9, 2.0 * TRAVEL_S)
     rows = np.arange(len(recent_ns))

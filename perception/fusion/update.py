@@ -2,8 +2,9 @@
 
 The centre of a body moves with its outline: where something larger is separated otherwise than in the last scan, or a
 track goes over to another part of it, the difference of their centres is no motion. Until its motion is confirmed, a
-track whose box changes that much starts again where it is now seen; at scans further apart, between which a body may
-come into view, only the evidence of its motion does.
+track whose box changes that much goes on from where it is now seen, at the velocity that it had if it is as short as a
+person or an animal; at scans further apart, between which a body may come into view, the evidence of its motion starts
+again.
 """
 
 import numpy as np
@@ -30,6 +31,7 @@ UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
 OTHER_PART_SHARE = 0.4  # of the longer box: a side that differs by more is that of another part
 OTHER_PART_M = 1.1  # least length of the longer box: below it limbs and hidden parts change the outline of one body
+LONGEST_BODY_M = 2.5  # of a person or an animal; the visible parts of longer ones change all the time
 OTHER_PART_NS = 150_000_000  # longest time between such scans, for those at 10 Hz
 STRUCTURE_SIGMA_SHARE = 0.25  # of the position sigma of a static structure
 
@@ -44,6 +46,7 @@ def update(
 ) -> None:
     """Corrects tracks in place by their matched detections; `lidars` are the bits of lidars in `sensors`."""
     x, P, size = table.x[tracks], table.P[tracks], detections.size_m[rows]
+    longer_m = np.maximum(size[:, 0], table.size_m[tracks, 0])
     is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (
         size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0]
     )
@@ -61,26 +64,39 @@ def update(
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
     if is_other.any():
-        longer_m = np.maximum(size[:, 0], table.size_m[tracks, 0])
         R[is_other] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other])[:, None, None] ** 2
         recent = table.recent_ns[tracks], table.recent_m[tracks]
         restarts = is_other & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
+    is_jump = restarts & (detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS)
+    before, before_P = x[is_jump], P[is_jump]
     correct(x, P, z, R, 0)
-    table.moving_since_ns[tracks[restarts]] = 0
     table.restarted_ns[tracks[restarts]] = detections.stamp_ns
-    restarts = restarts & (detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS)
-    if restarts.any():
-        x[restarts], P[restarts] = start_states(detections, rows[restarts], config)
-        P[restarts & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
+    table.moving_since_ns[tracks[restarts & ~is_jump]] = 0
+    if is_jump.any():
+        jumped = tracks[is_jump]
+        is_long = longer_m[is_jump] > LONGEST_BODY_M
+        x[is_jump], P[is_jump] = _moved_to(before, before_P, detections, rows[is_jump], is_long, config)
+        P[is_jump & fixed, :2, :2] *= STRUCTURE_SIGMA_SHARE**2
+        table.motion_origin_m[jumped] += z[is_jump] - before[:, :2]
+        table.moving_since_ns[jumped[is_long]] = 0
     _correct_velocity(x, P, detections, rows, config)
     table.x[tracks], table.P[tracks] = x, P
     if detections.has_bearing:
         _confirm_motion(table, tracks, z, detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
-    _update_boxes(table, tracks, detections, rows, is_piece, fixed | restarts, lidars)
+    _update_boxes(table, tracks, detections, rows, is_piece, fixed | is_jump, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)
     table.last_ns[tracks] = detections.stamp_ns
     table.sensors[tracks] |= 1 << detections.sensor
+
+
+def _moved_to(
+    x: Float64, P: Float64, detections: Detections, rows: Int64, is_long: Bool, config: TrackerConfig
+) -> tuple[Float64, Float64]:
+    """States (n, 4) and covariances (n, 4, 4) that start at these detections, with the velocities of shorter bodies."""
+    moved, covariance = start_states(detections, rows, config)
+    moved[~is_long, 2:], covariance[~is_long, 2:, 2:] = x[~is_long, 2:], P[~is_long, 2:, 2:]
+    return moved, covariance
 
 
 def _update_boxes(

@@ -74,7 +74,7 @@ def test_what_is_no_motion(config: FittedMotionConfig) -> None:
 def test_only_the_window_counts(config: FittedMotionConfig) -> None:
     turned = np.concatenate([walk(6, -3.0), walk(6, 1.2, period_s=0.25)])
     recent_ns, recent_m = seen(turned)
-    recent_ns[0, 6:] = recent_ns[0, 5] + 250_000_000 * np.arange(1, 7)
+    recent_ns[0, -6:] = recent_ns[0, -7] + 250_000_000 * np.arange(1, 7)
     velocity, _, _ = fitted_motion(recent_ns, recent_m, SINCE, body(), config)
     assert velocity[0] == pytest.approx([-1.2, 0.0])
     _, sigma, moves = fitted_motion(np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2)), SINCE, body(), config)
