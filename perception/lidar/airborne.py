@@ -5,7 +5,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, UInt8
-from geometry.range_image import BeamGrid, dust, floating, range_image, scattered
+from geometry.range_image import BeamGrid, ScatterMemory, dust, floating, range_image, scattered
 from messages.sensors import LidarScan
 
 UNUSED, LOW, OBSTACLE, FLOATING = range(4)  # classes of returns
@@ -23,11 +23,12 @@ class AirborneConfig(Config):
     min_share: float = Field(gt=0.0, le=1.0, description="of floating returns in a cluster that floats")
 
 
-def is_scattered(scan: LidarScan, grid: BeamGrid) -> Bool:
-    """Which returns (N,) are of fog, rain or dense dust; `grid`: beams of the lidar, for a list of points."""
+def is_scattered(scan: LidarScan, grid: BeamGrid, memory: ScatterMemory | None) -> Bool:
+    """Which returns (N,) are of fog, rain or dense dust; `grid`: beams of the lidar, for a list of points; `memory`: of
+    its last scans."""
     if scan.ranges_mm.size == 0:
-        return scattered(*grid.place(scan.points_m))
-    return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels)
+        return scattered(*grid.place(scan.points_m), memory)
+    return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels, memory)
 
 
 def mark_airborne(scan: LidarScan, point_class: UInt8, T_base_sensor: Float64, config: AirborneConfig) -> None:

@@ -10,7 +10,7 @@ from configs.vehicle import Implement, Lidar, Vehicle
 from geometry.arrays import Float32, Float64, UInt8
 from geometry.ground_surface import plant_heights
 from geometry.jit import kernel
-from geometry.range_image import beam_grid
+from geometry.range_image import ScatterMemory, beam_grid
 from messages.command import MachineState
 from messages.motion import Odometry, odometry_at
 from messages.node import At, Inbox, Latest, Node, On, Output
@@ -68,6 +68,7 @@ class LidarObstacles(Node):
         self._pipeline.warm()
         self._rejected_count = 0
         self._last: LidarScan | None = None
+        self._scatter = ScatterMemory()
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Ground, obstacles and health of the newest scan."""
@@ -83,7 +84,7 @@ class LidarObstacles(Node):
         machine = inbox.latest("machine", MachineState)
         hitch = 1.0 if machine is None or not np.isfinite(machine.hitch) else machine.hitch
         ground, obstacles, health = self._pipeline.run(
-            scan, odom, self.name, self._rejected_count, is_folded(machine), hitch
+            scan, odom, self.name, self._rejected_count, is_folded(machine), hitch, self._scatter
         )
         if health.state is HealthState.BLIND:
             return ((self.writes[2], health),)
@@ -159,13 +160,13 @@ class Pipeline:
 
     def run(
         self, scan: LidarScan, odom: Odometry | None, sensor: str, rejected_count: int, is_folded: bool = False,
-        hitch: float = 1.0,
+        hitch: float = 1.0, memory: ScatterMemory | None = None,
     ) -> tuple[LidarGround, Obstacles, SensorHealth]:  # fmt: skip
-        """The three messages of a valid scan."""
+        """The three messages of a valid scan; `memory`: of fog in the scans before it."""
         own, nominal = self._own[is_folded], self.coverages[is_folded]
         T = self._mount.at_hitch(hitch)
         points, usable = to_base(scan.points_m, scan.point_offset_s, T, motion_of(odom), own)
-        usable[is_scattered(scan, self._beam_grid)] = 0
+        usable[is_scattered(scan, self._beam_grid, memory)] = 0
         ground = find_ground(points, usable, self._center, self._grid, self.config.ground)
         point_class = np.empty(len(points), np.uint8)
         is_obstacle_point = np.empty(len(points), np.uint8)
