@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field
 
 from configs.sensor_kinds import SENSOR_KINDS, require_kinds
 from configs.strict import Config
-from geometry.arrays import Bool, Float64
+from geometry.arrays import Bool, Float64, Int64
 from geometry.transforms import apply, yaw_of
 from messages.perception import Obstacles
 from perception.fusion.kalman import box_noise
@@ -69,6 +69,10 @@ class Detections:
     evidence: Float64
     class_log_scores: Float64
     max_speed_mps: Float64
+
+    def view(self, rows: Int64) -> Float64:
+        """Sensor and length of some rows, (n, 2)."""
+        return np.column_stack([np.full(len(rows), self.sensor, np.float64), self.size_m[rows, 0]])
 
 
 def to_odom(

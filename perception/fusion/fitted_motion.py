@@ -29,10 +29,20 @@ class FittedMotionConfig(Config):
     length_share: float = Field(ge=0.0, le=5.0, description="least distance, over the length of the body")
 
 
-def remember(recent_ns: Int64, recent_m: Float64, stamp_ns: int, p_m: Float64) -> None:
-    """Adds detections (T, 2) of tracks in place to their last ones (T, K) and (T, K, 2); empty ones have stamp 0."""
-    recent_ns[:, :-1], recent_m[:, :-1] = recent_ns[:, 1:].copy(), recent_m[:, 1:].copy()
-    recent_ns[:, -1], recent_m[:, -1] = stamp_ns, p_m
+def remember(recent: tuple[Int64, Float64, Float64], stamp_ns: int, p_m: Float64, view: Float64) -> None:
+    """Adds detections (T, 2) of tracks, with sensor and length (T, 2), in place to their stamps (T, K), places and
+    views (T, K, 2); empty ones have stamp 0."""
+    for last in recent:
+        last[:, :-1] = last[:, 1:].copy()
+    for last, new in zip(recent, (stamp_ns, p_m, view), strict=True):
+        last[:, -1] = new
+
+
+def length_in_view(recent_ns: Int64, recent_view: Float64, sensor: int, since_ns: int) -> Float64:
+    """Length (T,) of tracks as a sensor saw them last, NaN where that was before a time."""
+    is_its = (recent_view[:, :, 0] == sensor) & (recent_ns >= max(since_ns, 1))
+    last = is_its.shape[1] - 1 - np.argmax(is_its[:, ::-1], axis=1)
+    return np.where(is_its.any(axis=1), recent_view[np.arange(len(last)), last, 1], np.nan)
 
 
 def has_travelled(recent_ns: Int64, recent_m: Float64, now_ns: int, now_m: Float64, length_m: Float64) -> Bool:

@@ -10,7 +10,7 @@ from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 from messages.perception import ObstacleClass
 from perception.fusion.detections import Detections, KindConfig, KindConfigs, NoiseConfig
-from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion
+from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion, remember
 from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
@@ -60,8 +60,8 @@ class TrackTable:
 
     `moving_since_ns`: start of uninterrupted motion (0: none), `motion_origin_m`: position at that time; `has_moved`:
     whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box;
-    `restarted_ns`: when the track started or went over to another part; `recent_ns`, `recent_m`: the last detections
-    by lidar.
+    `restarted_ns`: when the track started or went over to another part; `recent_ns`, `recent_m` and
+    `recent_view`, sensor and length: the last detections by lidar.
     """
 
     id: Int64
@@ -84,6 +84,7 @@ class TrackTable:
     restarted_ns: Int64
     recent_ns: Int64
     recent_m: Float64
+    recent_view: Float64
 
     def select(self, wanted: Int64) -> "TrackTable":
         """The given rows, in ascending order; the table itself when these are all rows."""
@@ -121,7 +122,7 @@ def empty_table() -> TrackTable:
     return TrackTable(
         no_int, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
         no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int, no_int,
-        np.zeros((0, KEPT), np.int64), np.zeros((0, KEPT, 2)),
+        np.zeros((0, KEPT), np.int64), np.zeros((0, KEPT, 2)), np.zeros((0, KEPT, 2)),
     )  # fmt: skip
 
 
@@ -142,16 +143,16 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
     n = len(rows)
     x, P = start_states(detections, rows, config)
     stamp = np.full(n, detections.stamp_ns, np.int64)
-    recent_ns, recent_m = np.zeros((n, KEPT), np.int64), np.zeros((n, KEPT, 2))
+    recent = np.zeros((n, KEPT), np.int64), np.zeros((n, KEPT, 2)), np.zeros((n, KEPT, 2))
     if detections.is_lidar:
-        recent_ns[:, -1], recent_m[:, -1] = detections.stamp_ns, detections.p_m[rows, :2]
+        remember(recent, detections.stamp_ns, detections.p_m[rows, :2], detections.view(rows))
     return TrackTable(
         np.arange(first_id, first_id + n), x, P, detections.p_m[rows, 2], detections.size_m[rows],
         detections.yaw_rad[rows],
         detections.evidence[rows], detections.class_log_scores[rows], stamp, stamp.copy(),
         stamp + nanoseconds(detections.kind.keep_unconfirmed_s),
         np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
-        np.full(n, 1 << detections.sensor, np.int64), stamp.copy(), recent_ns, recent_m,
+        np.full(n, 1 << detections.sensor, np.int64), stamp.copy(), *recent,
     )  # fmt: skip
 
 

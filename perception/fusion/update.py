@@ -3,17 +3,17 @@
 The centre of a body moves with its outline: where something larger is separated otherwise than in the last scan, or a
 track goes over to another part of it, the difference of their centres is no motion. Until its motion is confirmed, a
 track whose box changes that much goes on from where it is now seen, at the velocity that it had if it is as short as a
-person or an animal; at scans further apart, between which a body may come into view, the evidence of its motion starts
-again.
+person or an animal. What the same lidar saw as long in its last scan is the same part. At scans further apart, between
+which a body may come into view, the evidence of its motion starts again.
 """
 
 import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
 from perception.fusion.detections import Detections
-from perception.fusion.fitted_motion import has_travelled, remember
+from perception.fusion.fitted_motion import has_travelled, length_in_view, remember
 from perception.fusion.fragments import VEHICLE, shift_center
-from perception.fusion.kalman import correct
+from perception.fusion.kalman import box_noise, correct
 from perception.fusion.tracks import (
     AIRBORNE,
     FRAGMENT_LENGTH_RATIO,
@@ -31,6 +31,7 @@ UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
 OTHER_PART_SHARE = 0.4  # of the longer box: a side that differs by more is that of another part
 OTHER_PART_M = 1.1  # least length of the longer box: below it limbs and hidden parts change the outline of one body
+STEADY_M, STEADY_TURN_M, STEADY_SHARE = 0.25, 0.8, 0.04  # change of a side, of an end; sigma over side
 LONGEST_BODY_M = 2.5  # of a person or an animal; the visible parts of longer ones change all the time
 OTHER_PART_NS = 150_000_000  # longest time between such scans, for those at 10 Hz
 STRUCTURE_SIGMA_SHARE = 0.25  # of the position sigma of a static structure
@@ -57,6 +58,10 @@ def update(
     if fixed.any() or was_lost.any():
         _reset_velocity(x, P, detections, rows, fixed, was_lost, config)
     z, R = detections.p_m[rows, :2], detections.R[rows]
+    steady = ~is_piece & _is_steady(table, tracks, size, detections.yaw_rad[rows]) if detections.is_lidar else none
+    if steady.any():
+        noise = config.noise.position_sigma_m, STEADY_SHARE
+        R[steady] = box_noise(size[steady], detections.yaw_rad[rows][steady], *noise)
     # a fragment or an echo lies somewhere on the box: it only requires the box to contain it
     on = is_piece | (~np.bool_(detections.is_lidar) & (table.sensors[tracks] & lidars != 0))
     if on.any():
@@ -66,7 +71,10 @@ def update(
     if is_other.any():
         R[is_other] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other])[:, None, None] ** 2
         recent = table.recent_ns[tracks], table.recent_m[tracks]
-        restarts = is_other & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
+        seen_ns = detections.stamp_ns - OTHER_PART_NS
+        in_view_m = length_in_view(table.recent_ns[tracks], table.recent_view[tracks], detections.sensor, seen_ns)
+        is_same = np.abs(size[:, 0] - in_view_m) <= OTHER_PART_SHARE * np.maximum(size[:, 0], in_view_m)
+        restarts = is_other & ~is_same & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
     is_jump = restarts & (detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS)
     before, before_P = x[is_jump], P[is_jump]
     correct(x, P, z, R, 0)
@@ -151,9 +159,9 @@ def _confirm_motion(table: TrackTable, tracks: Int64, z: Float64, stamp_ns: int,
 def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64) -> None:
     """Adds whole bodies seen by lidar, in place, to the last detections of their tracks."""
     if detections.is_lidar:
-        recent_ns, recent_m = table.recent_ns[tracks], table.recent_m[tracks]
-        remember(recent_ns, recent_m, detections.stamp_ns, detections.p_m[rows, :2])
-        table.recent_ns[tracks], table.recent_m[tracks] = recent_ns, recent_m
+        recent = table.recent_ns[tracks], table.recent_m[tracks], table.recent_view[tracks]
+        remember(recent, detections.stamp_ns, detections.p_m[rows, :2], detections.view(rows))
+        table.recent_ns[tracks], table.recent_m[tracks], table.recent_view[tracks] = recent
 
 
 def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, lidars: int) -> Bool:
@@ -163,6 +171,14 @@ def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, lidars: in
     differs = np.abs(size_m[:, :2] - before_m[:, :2]).max(axis=1, initial=0.0) > OTHER_PART_SHARE * longer_m
     is_measured = (table.sensors[tracks] & lidars != 0) & (table.has_moved[tracks] == 0)
     return np.asarray(differs & (longer_m > OTHER_PART_M) & is_measured)
+
+
+def _is_steady(table: TrackTable, tracks: Int64, size_m: Float64, yaw_rad: Float64) -> Bool:
+    """Whether lidar boxes (K,) of vehicles are those of the last scans: then the centre is of the whole body."""
+    change_m = np.abs(size_m[:, :2] - table.size_m[tracks, :2]).max(axis=1, initial=0.0)
+    turn = np.abs(np.sin(yaw_rad - table.yaw_rad[tracks]))
+    is_vehicle = is_of(table.class_evidence[tracks], VEHICLE)
+    return np.asarray(is_vehicle & (change_m <= STEADY_M) & (turn * size_m[:, 0] <= STEADY_TURN_M))
 
 
 def _is_structure(size_m: Float64, config: TrackerConfig) -> Bool:

@@ -5,7 +5,14 @@ import pytest
 
 from configs.strict import CONFIGS, parse, read_yaml
 from perception.config import PerceptionConfig
-from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion, has_travelled, remember
+from perception.fusion.fitted_motion import (
+    KEPT,
+    FittedMotionConfig,
+    fitted_motion,
+    has_travelled,
+    length_in_view,
+    remember,
+)
 
 PERIOD_NS, SINCE = 100_000_000, np.zeros(1, np.int64)
 
@@ -24,7 +31,7 @@ def seen(p_m: np.ndarray, period_ns: int = PERIOD_NS) -> tuple[np.ndarray, np.nd
     """Last detections of one track at the places (N, 2)."""
     recent_ns, recent_m = np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2))
     for k, p in enumerate(p_m):
-        remember(recent_ns, recent_m, (k + 1) * period_ns, p[None])
+        remember((recent_ns, recent_m, np.zeros((1, KEPT, 2))), (k + 1) * period_ns, p[None], np.zeros((1, 2)))
     return recent_ns, recent_m
 
 
@@ -112,3 +119,17 @@ def test_travel_by_more_than_the_parts_of_a_body_are_apart() -> None:
         jump[at:, 0] = 4.0
         assert not travelled(jump), at
     assert not travelled(walk(1, 3.5))
+
+
+def test_length_as_each_sensor_saw_it_last() -> None:
+    recent = np.zeros((1, KEPT), np.int64), np.zeros((1, KEPT, 2)), np.zeros((1, KEPT, 2))
+    for k, (sensor, length_m) in enumerate([(0, 3.7), (2, 1.3), (0, 3.8), (2, 1.2)]):
+        remember(recent, (k + 1) * PERIOD_NS, np.zeros((1, 2)), np.array([[sensor, length_m]]))
+
+    def seen_m(sensor: int, since_ns: int = 0) -> float:
+        return float(length_in_view(recent[0], recent[2], sensor, since_ns)[0])
+
+    assert (seen_m(0), seen_m(2)) == (3.8, 1.2)
+    assert np.isnan(seen_m(1))
+    assert seen_m(0, 3 * PERIOD_NS) == 3.8
+    assert np.isnan(seen_m(0, 3 * PERIOD_NS + 1))
