@@ -32,10 +32,10 @@ class FittedMotionConfig(Config):
 def remember(recent: tuple[Int64, Float64, Float64], stamp_ns: int, p_m: Float64, view: Float64) -> None:
     """Adds detections (T, 2) of tracks, with sensor and length (T, 2), in place to their stamps (T, K), places and
     views (T, K, 2); empty ones have stamp 0."""
-    for last in recent:
+    stamps_ns, places_m, views = recent
+    for last in (stamps_ns, places_m, views):
         last[:, :-1] = last[:, 1:].copy()
-    for last, new in zip(recent, (stamp_ns, p_m, view), strict=True):
-        last[:, -1] = new
+    stamps_ns[:, -1], places_m[:, -1], views[:, -1] = stamp_ns, p_m, view
 
 
 def length_in_view(recent_ns: Int64, recent_view: Float64, sensor: int, since_ns: int) -> Float64:
