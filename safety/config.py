@@ -87,6 +87,7 @@ class MeasuredGroundConfig(Config):
     range_m: Metres = Field(description="distance from the rear axle; beyond it planes through cells bound the ground")
     wheels_m: Metres = Field(description="distance from the centre between the axles that counts as beside the wheels")
     wheels_cells: int = Field(ge=1, le=100, description="least number of cells there")
+    wheels_plane_m: Metres = Field(description="distance from there of cells whose plane counts where there are fewer")
     wheels_tolerance_m: Metres = Field(description="of their median height: farther off the lidar is misaligned")
     plane_reach_cells: int = Field(ge=1, le=20, description="cells on each side for the plane that levels the ground")
     plane_cells: int = Field(ge=3, le=400, description="least number of them with ground")

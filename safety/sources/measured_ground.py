@@ -9,10 +9,11 @@ z   bound of A: slope │ × counts: above the lowest bound by the minimum heigh
     A _____________---│ · does not: the rise from A explains it
     ^ lowest returns of a cell
 
-The wheels stand on the ground: a lidar whose ground beside them lies elsewhere is misaligned, and one that sees no
-ground there proves nothing. Both keep every return above the plane, as does a place without ground around it. Beyond
-`range_m`, where the slope from the nearest ground could explain a small body, planes through the cells around it bound
-the ground instead. Such planes also level what the rise explains, for the near field to find who lies on a slope.
+The wheels stand on the ground: a lidar whose ground beside them lies elsewhere is misaligned, and one whose ground does
+not reach there, nor a plane through it, proves nothing. Both keep every return above the plane, as does a place without
+ground around it. Beyond `range_m`, where the slope from the nearest ground could explain a small body, planes through
+the cells around it bound the ground instead. Such planes also level what the rise explains, for the near field to find
+who lies on a slope.
 """
 
 from dataclasses import dataclass, replace
@@ -63,11 +64,12 @@ def stands_out(
         return is_above_plane
     cells = cells_of(xyz, box, config.cell_m)
     low_m = cells.low_m(xyz[2], config.returns, 0.0)
-    if not is_below_wheels(low_m, np.hypot(cells.x_m[:, None] - WHEELS_X_M, cells.y_m), config):
+    bound_m = lowest_bound(low_m, config)
+    if not is_below_wheels(low_m, bound_m, cells.x_m - WHEELS_X_M, cells.y_m, config):
         return is_above_plane
     above = np.flatnonzero(is_above_plane)
     x, y, z = some = xyz.take(above, axis=1)
-    bound_m, of = lowest_bound(low_m, config), cells.of.take(above)
+    of = cells.of.take(above)
     ground_m = bound_m.ravel()[of]
     distance_m = np.hypot(x, y)
     least_m, is_far = field.min_height_m + field.min_height_slope * distance_m, distance_m > config.range_m
@@ -79,10 +81,22 @@ def stands_out(
     return is_obstacle
 
 
-def is_below_wheels(low_m: Float64, distance_m: Float64, config: MeasuredGroundConfig) -> bool:
-    """Whether the ground of cells (R, C) near the wheels, by their distance (R, C), is that on which they stand."""
+def is_below_wheels(low_m: Float64, bound_m: Float64, x_m: Float64, y_m: Float64, config: MeasuredGroundConfig) -> bool:
+    """Whether the ground of cells (R, C), x (R,) and y (C,) from the wheels, is that on which they stand.
+
+    Where a lidar sees none near them, as from behind the implement, a plane through the ground that it sees reaches
+    there; cells above the bound (R, C) are no ground.
+    """
+    distance_m = np.hypot(x_m[:, None], y_m)
     near = low_m[(distance_m <= config.wheels_m) & np.isfinite(low_m)]
-    return len(near) >= config.wheels_cells and abs(median(near)) <= config.wheels_tolerance_m
+    if len(near) >= config.wheels_cells:
+        return abs(median(near)) <= config.wheels_tolerance_m
+    x, y = np.nonzero(np.isfinite(low_m) & (low_m <= bound_m) & (distance_m <= config.wheels_plane_m))
+    if len(x) < config.plane_cells:
+        return False
+    places = np.column_stack([np.ones(len(x)), x_m[x], y_m[y]])
+    (height_m, *_), _, rank, _ = np.linalg.lstsq(places, low_m[x, y], rcond=None)
+    return bool(rank == 3 and abs(height_m) <= config.wheels_tolerance_m)
 
 
 def lowest_bound(low_m: Float64, config: MeasuredGroundConfig) -> Float64:

@@ -200,10 +200,11 @@ def test_without_ground_around_it_the_plane_decides(config: SupervisorConfig) ->
 
 def test_ground_beside_the_wheels(config: SupervisorConfig) -> None:
     measured = config.measured_ground
-    near = np.array([[1.0, 2.0, 3.0, 4.0, 4.01]])
+    near = np.array([1.0, 2.0, 3.0, 4.0, 4.01])
 
     def check(*low_m: float) -> bool:
-        return is_below_wheels(np.array([low_m]), near, measured)
+        low = np.array([low_m])
+        return is_below_wheels(low, low, np.zeros(1), near, measured)
 
     assert check(0.3, 0.3, 0.3, 0.3, 9.0)
     assert check(-0.3, -0.3, -0.3, -0.3, 9.0)
@@ -211,6 +212,33 @@ def test_ground_beside_the_wheels(config: SupervisorConfig) -> None:
     assert not check(0.31, 0.31, 0.31, 0.31, 0.0)
     assert not check(-0.31, -0.31, -0.31, -0.31, 0.0)
     assert not check(0.0, 0.0, 0.0, math.inf, 0.0)
+
+
+def test_plane_of_the_ground_reaches_the_wheels_from_behind(config: SupervisorConfig) -> None:
+    """The machine stands askew in a rut: 0.4 m beside the wing is no obstacle; 0.4 m all along, or a body, is."""
+    measured = config.measured_ground
+    x_m, y_m = np.arange(-9.75, -4.0, 0.5), np.arange(-3.75, 4.0, 0.5)
+    askew = 0.02 * x_m[:, None] + 0.1 * y_m + 0.1
+
+    def check(low_m: np.ndarray, bound_m: np.ndarray | None = None) -> bool:
+        return is_below_wheels(low_m, low_m if bound_m is None else bound_m, x_m, y_m, measured)
+
+    assert check(askew)
+    assert not check(askew + 0.25)
+    assert not check(askew - 0.45)
+    wall = askew.copy()
+    wall[:, :5] += 1.5
+    assert not check(wall)
+    assert check(wall, askew + 0.2)
+    few = np.full_like(askew, np.inf)
+    few[-1, : measured.plane_cells - 1] = 0.0
+    assert not check(few)
+    few[-1, : measured.plane_cells] = 0.0  # in one row: no plane
+    assert not check(few)
+    few[-2, 0] = 0.0
+    assert check(few)
+    few[-2, 0], few[0, 0] = np.inf, 0.0  # too far off
+    assert not check(few)
 
 
 def test_lowest_bound(config: SupervisorConfig) -> None:
