@@ -199,7 +199,7 @@ class LidarSource:
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             level_near = mark_low_obstacles(level_xyz, near_field, self._on_slopes, *plants)
             is_more = is_hidden & level_near.is_obstacle & ~near.is_plant
-            is_dense = np.where(is_low, is_dense, is_more & level_near.is_dense)
+            is_dense = (is_low & is_dense & ~is_more) | (is_more & level_near.is_dense & (~is_low | is_dense))
             is_low |= is_more
         return is_high | is_low, is_high, is_dense & ~is_high
 

@@ -68,10 +68,14 @@ def mark_low_obstacles(
     dense_m = max(config.min_height_m, config.dense_factor * rough_m)
     if (height_m > dense_m).any() or plants_m.any():
         limits_m = min_height_m, dense_m, vegetation.margin_m
+        limits = config.cell_m, limits_m, (config.min_share, config.dense_share), config.dense_returns
         is_obstacle[inside], is_plant[inside] = stand_out_of_cell(
-            near_xyz, height_m, plants_m, (x_low, y_low), config.cell_m, limits_m,
-            (config.min_share, config.dense_share), config.dense_returns, config.dense_width_m,
-        )  # fmt: skip
+            near_xyz, height_m, plants_m, (x_low, y_low), *limits, config.dense_width_m
+        )
+        half_m = 0.5 * config.cell_m  # a body that lies across the edges of cells fills one of shifted cells
+        for corner in ((x_low - half_m, y_low), (x_low, y_low - half_m), (x_low - half_m, y_low - half_m)):
+            some, _ = stand_out_of_cell(near_xyz, height_m, plants_m, corner, *limits, config.dense_width_m)
+            is_obstacle[inside] |= some & (height_m <= min_height_m) & ~is_plant[inside]
         is_dense[inside] = is_obstacle[inside] & (height_m <= min_height_m)
     else:
         is_obstacle[inside] = height_m > min_height_m

@@ -313,8 +313,9 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     look(collision_monitor, config)
     moving, area, _, _, _ = collision_monitor.bystanders.note_close.asked
     assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
-    moving, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
-    assert (moving, tracks, area) == ([beside], SEEN.tracks, collision_monitor.swept_field.main)
+    moving, approaching, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
+    assert (moving, approaching) == ([beside], [ahead])
+    assert (tracks, area) == (SEEN.tracks, collision_monitor.swept_field.main)
     assert (speed_mps, predicted_s) == (2.0, parts.tracks_near.asked[3])
     assert collision_monitor.critical_object() == coming
     collision_monitor.bystanders.coming = None
