@@ -85,6 +85,21 @@ def test_a_low_body_among_rows_of_crop(config: SupervisorConfig) -> None:
         assert not (marked(xyz, AREA, config).is_dense & is_body).any()  # high enough for itself
 
 
+@pytest.mark.parametrize(("dx_m", "dy_m"), [(0.0, 0.0), (0.25, 0.0), (0.0, 0.25), (0.25, 0.25)])
+def test_a_narrow_body_stands_out_wherever_the_cells_are(config: SupervisorConfig, dx_m: float, dy_m: float) -> None:
+    """A child who lies curled, 0.4 m: before, four cells that share its returns had too few of each."""
+    rows = np.random.default_rng(1)
+    xyz = np.concatenate([field_of(rows, 0.01), field_of(rows, 0.01)], axis=1)
+    is_row = (xyz[1] % 1.0 < 0.2) & (rows.random(xyz.shape[1]) < 0.3)
+    xyz[2, is_row] += rows.uniform(0.02, 0.09, is_row.sum())
+    x_m, y_m = 7.25 + dx_m, 0.75 + dy_m
+    is_body = (np.abs(xyz[0] - x_m) < 0.2) & (np.abs(xyz[1] - y_m) < 0.2)
+    xyz[2, is_body] += 0.16
+    found = marked(xyz, AREA, config)
+    assert np.count_nonzero(found.is_obstacle & is_body) >= 4
+    assert not found.is_obstacle[~is_body].any()
+
+
 def test_few_returns_of_a_cell_are_a_plant(config: SupervisorConfig) -> None:
     """Of 80 returns in a cell three on a plant do not count, and eight on a body do."""
     rng = np.random.default_rng(3)
