@@ -11,7 +11,7 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 
-KEPT = 24  # detections of a track
+KEPT, FITTED = 24, 12  # detections of a track, and those of a line
 TRAVEL_S, TRAVEL = 1.5, 1.5  # within which a body goes on by how many times its length
 
 
@@ -66,6 +66,7 @@ def fitted_motion(
     recent_ns: Int64, recent_m: Float64, since_ns: Int64, size_m: Float64, config: FittedMotionConfig
 ) -> tuple[Float64, Float64, Bool]:
     """Velocity (T, 2), its sigma (T,) in each axis, and whether that is motion (T,), of tracks of a size (T, 3)."""
+    recent_ns, recent_m = recent_ns[:, -FITTED:], recent_m[:, -FITTED:]
     t = (recent_ns - recent_ns[:, -1:]) * 1e-9
     used = (recent_ns > 0) & (recent_ns >= since_ns[:, None]) & (t >= -config.window_s)
     n = used.sum(axis=1)

@@ -68,14 +68,15 @@ def update(
         own = np.where(is_piece[on, None], size[on, :2], 0.0)
         z[on] = shift_center(x[on, :2], z[on], table.size_m[tracks[on], :2] - own, table.yaw_rad[tracks[on]])
         R[on] += np.eye(2) * (UNIFORM_SIGMA * table.size_m[tracks[on], 0])[:, None, None] ** 2
+    is_soon = detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS
     if is_other.any():
-        R[is_other] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other])[:, None, None] ** 2
+        R[is_other & is_soon] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other & is_soon])[:, None, None] ** 2
         recent = table.recent_ns[tracks], table.recent_m[tracks]
         seen_ns = detections.stamp_ns - OTHER_PART_NS
         in_view_m = length_in_view(table.recent_ns[tracks], table.recent_view[tracks], detections.sensor, seen_ns)
         is_same = np.abs(size[:, 0] - in_view_m) <= OTHER_PART_SHARE * np.maximum(size[:, 0], in_view_m)
         restarts = is_other & ~is_same & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
-    is_jump = restarts & (detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS)
+    is_jump = restarts & is_soon
     before, before_P = x[is_jump], P[is_jump]
     correct(x, P, z, R, 0)
     table.restarted_ns[tracks[restarts]] = detections.stamp_ns
