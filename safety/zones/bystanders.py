@@ -2,8 +2,9 @@
 
 The swept area begins at the leading edges. Somebody who walks into a wing from the side or from behind is touched by a
 machine that drives on, and by one that sets off beside them. A bystander stops the machine before the contact, and it
-stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there. Any body that
-moves near the machine stops the PTO, which runs down more slowly than the machine stops.
+stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there. A person or
+animal who came from ahead, where the swept area stops the machine, keeps it standing too: it may drive off in the other
+direction. Any body that moves near the machine stops the PTO, which runs down more slowly than the machine stops.
 """
 
 import math
