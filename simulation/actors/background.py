@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from configs.site import Site
+from configs.vehicle import MountedImplement, outlines
 from geometry.arrays import Float64
 from simulation.actors.actors import ActorState
 from simulation.environment.terrain import Terrain, longest_edge_rad
@@ -22,6 +23,7 @@ FIRST_ID = 500  # objects of a scenario count from 100
 NEIGHBOUR_ID = 499
 FLAP_HZ = 3.0  # of Larus argentatus in flapping flight (Pennycuick 1990: 2.8 to 3.4 Hz)
 BOB_M, BOB_S = 0.3, 2.0
+CLIMB_M, SPAN_M, OVER_M = 2.5, 0.7, 0.4  # way on which a gull climbs, half of its span, space beneath it over a machine
 
 
 class Gull:
@@ -38,17 +40,34 @@ class Gull:
         self._phase, self._bob = random.uniform(0.0, 2.0 * math.pi, 2)
         self._id, self._name = FIRST_ID + number, f"gull {number + 1}"
 
-    def state(self, elapsed_s: float, center: Float64, velocity: tuple[float, float], terrain: Terrain) -> ActorState:
-        """State about a moving centre (2,)."""
+    def state(
+        self, elapsed_s: float, center: Float64, velocity: tuple[float, float], terrain: Terrain, machine: Machine
+    ) -> ActorState:
+        """State about a moving centre (2,); it climbs to pass over machine and implement."""
         angle = self._phase + self._rate_radps * elapsed_s
         c, s = math.cos(angle), math.sin(angle)
         x, y = float(center[0]) + self._radius_m * c, float(center[1]) + self._radius_m * s
         v = self._radius_m * self._rate_radps
         heading = angle + math.copysign(0.5 * math.pi, self._rate_radps)
-        z = terrain.height_m(x, y) + BOB_M * math.sin(2.0 * math.pi * elapsed_s / BOB_S + self._bob)
+        up_m = BOB_M * math.sin(2.0 * math.pi * elapsed_s / BOB_S + self._bob)
+        up_m = max(up_m, height_to_pass_m(machine, x, y) - self._height_m)
+        z = terrain.height_m(x, y) + up_m
         course = (velocity[0] - v * s, velocity[1] + v * c)
         solid = solid_of("gull", "flying", round(self._height_m, 3))
         return ActorState(self._id, solid, self._name, (x, y, z), heading, course, FLAP_HZ * elapsed_s % 1.0)
+
+
+def height_to_pass_m(machine: Machine, x_m: float, y_m: float) -> float:
+    """Least height at a place for a gull that passes over machine and implement, at which it climbs and sinks."""
+    dx, dy, c, s = x_m - machine.x_m, y_m - machine.y_m, math.cos(machine.yaw_rad), math.sin(machine.yaw_rad)
+    x, y = c * dx + s * dy, c * dy - s * dx
+    body, implement = machine.vehicle.body, machine.attached.implement
+    height_m, implement_m = 0.0, implement.height_m if isinstance(implement, MountedImplement) else body.height_m
+    for outline, top_m in zip(outlines(body, implement), (body.height_m, implement_m), strict=True):
+        along_m, across_m = max(outline.rear_m - x, x - outline.front_m, 0.0), max(abs(y) - outline.half_width_m, 0.0)
+        share = (CLIMB_M + SPAN_M - math.hypot(along_m, across_m)) / CLIMB_M
+        height_m = max(height_m, min(max(share, 0.0), 1.0) * (top_m + OVER_M))
+    return height_m
 
 
 class NeighbourMachine:
@@ -97,7 +116,7 @@ class Background:
             base = (machine.x_m, machine.y_m, machine.yaw_rad)
             center = working_point_m(machine.attached.implement, base, machine.attached.yaw_rad)
             velocity = (machine.speed_mps * math.cos(machine.yaw_rad), machine.speed_mps * math.sin(machine.yaw_rad))
-            states = [gull.state(elapsed_s, center, velocity, self._terrain) for gull in self._gulls]
+            states = [gull.state(elapsed_s, center, velocity, self._terrain, machine) for gull in self._gulls]
         if self._neighbour is not None:
             states.append(self._neighbour.state(elapsed_s, self._terrain))
         return states

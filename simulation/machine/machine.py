@@ -70,7 +70,7 @@ class Machine:
         self.drive = Drive(config.drive, vehicle.acceleration_mps2, dt_s)
         self.brakes = BrakeSystem(vehicle.brake, dt_s)
         self.attached = AttachedImplement(implement, config.implement, self.yaw_rad, is_folded, dt_s, random)
-        self._vehicle, self._terrain, self._config, self._dt_s, self._random = vehicle, terrain, config, dt_s, random
+        self.vehicle, self._terrain, self._config, self._dt_s, self._random = vehicle, terrain, config, dt_s, random
         self._slip_front_rad = self._slip_rear_rad = self._soil_mps2 = 0.0
         self.T_map_base = self._ground_pose()
 
@@ -100,7 +100,7 @@ class Machine:
             + self.brakes.step(command.brake_mps2)
             + self.park_brake * drive.park_brake_mps2
         )
-        friction += self.attached.draft_n() / self._vehicle.body.mass_kg
+        friction += self.attached.draft_n() / self.vehicle.body.mass_kg
         if is_driven and command.speed_mps == 0.0 and abs(before) < 0.05:
             friction += drive.standstill_hold_mps2
         downhill = -GRAVITY_MPS2 * float(self.T_map_base[2, 0])
@@ -126,7 +126,7 @@ class Machine:
         travel = 1.0 if self.speed_mps >= 0.0 else -1.0
         front, rear = self.steering.angle_rad - travel * self._slip_front_rad, travel * self._slip_rear_rad
         self.lateral_mps = -self.speed_mps * math.tan(rear)
-        self.yaw_rate_radps = self.speed_mps * (math.tan(front) + math.tan(rear)) / self._vehicle.drivetrain.wheelbase_m
+        self.yaw_rate_radps = self.speed_mps * (math.tan(front) + math.tan(rear)) / self.vehicle.drivetrain.wheelbase_m
 
     def _step_pose(self) -> None:
         """Midpoint rule in heading; speed is along the ground, so its horizontal part shrinks on a grade."""
@@ -140,7 +140,7 @@ class Machine:
         self.T_map_base = self._ground_pose()
 
     def _ground_pose(self) -> Float64:
-        drivetrain = self._vehicle.drivetrain
+        drivetrain = self.vehicle.drivetrain
         return self._terrain.pose_on_ground(
             self.x_m, self.y_m, self.yaw_rad, drivetrain.wheelbase_m, drivetrain.track_m
         )

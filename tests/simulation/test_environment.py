@@ -11,6 +11,7 @@ from scipy.special import j1
 from shapely import Polygon
 
 from configs.strict import CONFIGS, load, parse
+from configs.vehicle import outlines
 from messages.errors import ConfigError
 from simulation.environment.terrain import Terrain
 from simulation.rendering.light import draw_light, in_fog
@@ -183,6 +184,27 @@ def test_gulls_circle_around_the_implement():
         assert not gull.solid.must_avoid
     assert abs(after["neighbour"].p_map_m[1]) > 30.0  # the field ends at 30 m
     assert np.hypot(*after["neighbour"].velocity_mps) >= 2.0
+
+
+def test_gulls_pass_over_machine_and_implement():
+    """Before, they flew through them, and came out of the self filter right beside the hood."""
+    birds = {"gulls": 12, "height_m": 1.0, "radius_m": [1.0, 5.0], "speed_mps": 6.0}
+    farm = Farm(scenario=scenario_of(birds=birds))
+    over = 0
+    for _ in range(30):
+        farm.drive(0.05)
+        machine = farm.world.machine
+        c, s = np.cos(machine.yaw_rad), np.sin(machine.yaw_rad)
+        shapes = zip(outlines(machine.vehicle.body, machine.attached.implement), (3.0, 1.0), strict=True)
+        for outline, top_m in shapes:
+            for gull in (a for a in farm.world._scene.actors if a.role.startswith("gull")):
+                away = gull.vertices_map_m[:, :2] - (machine.x_m, machine.y_m)
+                x, y = away @ (c, s), away @ (-s, c)
+                inside = (x > outline.rear_m) & (x < outline.front_m) & (np.abs(y) < outline.half_width_m)
+                over += np.count_nonzero(inside)
+                assert (gull.vertices_map_m[inside, 2] > min(top_m, machine.vehicle.body.height_m)).all()
+    farm.close()
+    assert over > 100
 
 
 def test_hedge_and_trees_are_solid_outside_of_the_field_alone():
