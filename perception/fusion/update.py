@@ -71,11 +71,7 @@ def update(
     is_soon = detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS
     if is_other.any():
         R[is_other & is_soon] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other & is_soon])[:, None, None] ** 2
-        recent = table.recent_ns[tracks], table.recent_m[tracks]
-        seen_ns = detections.stamp_ns - OTHER_PART_NS
-        in_view_m = length_in_view(table.recent_ns[tracks], table.recent_view[tracks], detections.sensor, seen_ns)
-        is_same = np.abs(size[:, 0] - in_view_m) <= OTHER_PART_SHARE * np.maximum(size[:, 0], in_view_m)
-        restarts = is_other & ~is_same & ~has_travelled(*recent, detections.stamp_ns, z, longer_m)
+        restarts = is_other & ~_is_of_one_body(table, tracks, detections, rows, z)
     is_jump = restarts & is_soon
     before, before_P = x[is_jump], P[is_jump]
     correct(x, P, z, R, 0)
@@ -172,6 +168,18 @@ def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, lidars: in
     differs = np.abs(size_m[:, :2] - before_m[:, :2]).max(axis=1, initial=0.0) > OTHER_PART_SHARE * longer_m
     is_measured = (table.sensors[tracks] & lidars != 0) & (table.has_moved[tracks] == 0)
     return np.asarray(differs & (longer_m > OTHER_PART_M) & is_measured)
+
+
+def _is_of_one_body(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, z_m: Float64) -> Bool:
+    """Whether detections (K,), at z (K, 2), are of the body of their track although their size is another: the same
+    lidar saw it as long in its last scan, or the track has gone on by more than parts of a body are apart."""
+    length_m, recent_ns = detections.size_m[rows, 0], table.recent_ns[tracks]
+    since_ns = detections.stamp_ns - OTHER_PART_NS
+    in_view_m = length_in_view(recent_ns, table.recent_view[tracks], detections.sensor, since_ns)
+    is_same = np.abs(length_m - in_view_m) <= OTHER_PART_SHARE * np.maximum(length_m, in_view_m)
+    longer_m = np.maximum(length_m, table.size_m[tracks, 0])
+    has_gone = has_travelled(recent_ns, table.recent_m[tracks], detections.stamp_ns, z_m, longer_m)
+    return np.asarray(is_same | has_gone)
 
 
 def _is_steady(table: TrackTable, tracks: Int64, size_m: Float64, yaw_rad: Float64) -> Bool:
