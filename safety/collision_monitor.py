@@ -280,8 +280,8 @@ class CollisionMonitor:
         broad = [track for track, moves in near if not moves and is_broad_mover(track, stamp_ns, tracked)]
         beside = [track for track in (*moving, *broad) if track.id not in ids]
         self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
-        coming = [track for track in moving if track.id in ids]
-        self.bystanders.update(beside, coming, tracks, area, pose_odom, speed_mps, predicted_s)
+        in_front = [track for track in moving if track.id in ids]
+        self.bystanders.update(beside, in_front, tracks, area, pose_odom, speed_mps, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(
