@@ -55,6 +55,7 @@ class FieldConfig(Config):
     cell_m: float = Field(gt=0.05, le=2.0)
     min_returns_single_scan: int = Field(ge=1, le=50, description="returns in a cell in one scan for a hit")
     min_returns_multiple_scan: int = Field(ge=1, le=50, description="returns in a cell in each of two scans for a hit")
+    min_returns_in_fog: int = Field(ge=1, le=50, description="returns in a cell that floats, in fog, rain or dust")
     blind_zone_hold_s: float = Field(
         ge=0.0, le=600.0, description="hold time of a hit at the edge of the lowest beam; one farther below has none"
     )
@@ -142,6 +143,7 @@ class AirborneConfig(Config):
     dust_range_m: Metres = Field(description="from the sensor, within which a person has dozens of returns")
     dust_returns: int = Field(ge=1, le=1000, description="isolated returns in a scan from which on they are dust")
     clear_m: Metres = Field(description="height of the clear space beneath a return that floats")
+    fog_share: float = Field(ge=0.0, le=1.0, description="of scattered returns, above which a scan is of fog")
     follow_s: float = Field(ge=0.0, le=1.0, description="for which what floated may fly on to where nothing shows that")
     follow_m: Metres = Field(description="size of what floats")
     follow_mps: float = Field(ge=0.0, le=20.0, description="at which it flies")

@@ -90,7 +90,7 @@ class LidarSource:
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
         column_rad = math.radians(lidar.field_of_view_deg) / lidar.columns
-        self._scatter, self._is_body = ScatterMemory(), np.empty(0, np.bool_)
+        self._scatter, self._is_body, self._is_in_fog = ScatterMemory(), np.empty(0, np.bool_), False
         self._beam_grid = beam_grid(np.radians(np.array(lidar.elevation_deg)), column_rad)
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
@@ -133,6 +133,8 @@ class LidarSource:
             is_list = scan.ranges_mm.size == 0
             self._image = None if is_list else range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad)
             self._is_body = ~self._is_scattered(scan)
+            scattered_share = 1.0 - float(np.mean(self._is_body)) if len(self._is_body) else 0.0
+            self._is_in_fog = scattered_share > self._config.airborne.fog_share
         self.scan, self.stamp_ns, self._pose_odom = scan, scan.stamp_ns, pose_odom
         self.has_other_rings = scan.ranges_mm.size > 0 and len(scan.ranges_mm) != self._rings
         self._T_base_sensor = self._mount.at_hitch(self.hitch)
@@ -174,6 +176,8 @@ class LidarSource:
             field.min_returns_single_scan,
             field.min_returns_multiple_scan,
         )
+        if self._is_in_fog:  # what is left of it is in the same cell in three scans by chance
+            is_hit &= ~is_floating | (returns.counts >= field.min_returns_in_fog)[returns.which]
         self._cells = (cells, self._cells[0])
         self.holes_odom_m = points_odom[is_hit & is_hole[marked], :2]
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)

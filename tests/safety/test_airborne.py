@@ -121,22 +121,42 @@ def test_dust_would_be_hits_without_the_evidence(
     assert np.count_nonzero(hits) >= 2
 
 
-def test_few_isolated_returns_are_no_dust(machine: Vehicle, implement: MountedImplement, config: SafetyConfig) -> None:
-    """Two returns of a small body with nothing beneath it count in three scans, in a list in two."""
-    place = np.array([[7.3, 0.2, 1.2]])
-    clean, T = cast(noise_m=0.0), machine.sensors.lidar["front"].mount.T_base_sensor
-    away = np.linalg.norm(clean.points_m + T[:3, 3] - place, axis=1)
+def returns_at(machine: Vehicle, count: int):
+    """Some returns at (7.3, 0.2, 1.2) with nothing around them."""
+    place, T = np.array([7.3, 0.2, 1.2]), machine.sensors.lidar["front"].mount.T_base_sensor
+    clean = cast(noise_m=0.0)
+    assert np.linalg.norm(clean.points_m + T[:3, 3] - place, axis=1).min() > 1.0
 
-    def with_two(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def add(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         el, az = clean.elevation_rad[:, None], clean.azimuth_rad
         d = np.stack(np.broadcast_arrays(np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)), axis=-1)
-        towards = (place[0] - T[:3, 3]) / np.linalg.norm(place[0] - T[:3, 3])
-        nearest = np.argsort(-(d @ towards).ravel())[:2]
+        towards = (place - T[:3, 3]) / np.linalg.norm(place - T[:3, 3])
+        nearest = np.argsort(-(d @ towards).ravel())[:count]
         out = mm.copy().ravel()
-        out[nearest] = round(1000.0 * float(np.linalg.norm(place[0] - T[:3, 3])))
+        out[nearest] = round(1000.0 * float(np.linalg.norm(place - T[:3, 3])))
         return out.reshape(mm.shape)
 
-    assert away.min() > 1.0
+    return add
+
+
+@pytest.mark.parametrize("in_fog", [False, True])
+def test_few_floating_returns_in_fog_are_what_is_left_of_it(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch, in_fog: bool
+) -> None:
+    """Scattered are 1 % of the returns, far off; in the same cell in three scans are two or eight returns."""
+    far = 0.01 if in_fog else 0.0
+    monkeypatch.setattr(
+        "safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.arange(len(pixels)) < far * len(pixels)
+    )
+    for count, expected in ((2, not in_fog), (8, True)):
+        source, add = source_of(machine, implement, config), returns_at(machine, count)
+        hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=add)) for k in range(3)]
+        assert bool(hits[-1]) == expected, count
+
+
+def test_few_isolated_returns_are_no_dust(machine: Vehicle, implement: MountedImplement, config: SafetyConfig) -> None:
+    """Two returns of a small body with nothing beneath it count in three scans, in a list in two."""
+    with_two = returns_at(machine, 2)
     for image in (True, False):
         source = source_of(machine, implement, config)
         counts = []
