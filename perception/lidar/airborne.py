@@ -25,9 +25,9 @@ class AirborneConfig(Config):
 
 def is_scattered(scan: LidarScan, grid: BeamGrid, memory: ScatterMemory | None) -> Bool:
     """Which returns (N,) are of fog, rain or dense dust; `grid`: beams of the lidar, for a list of points; `memory`: of
-    its last scans."""
+    its last scans, for range images: in lists it takes returns from clouds of dust beside the path, which then move."""
     if scan.ranges_mm.size == 0:
-        return scattered(*grid.place(scan.points_m), memory)
+        return scattered(*grid.place(scan.points_m))
     return scattered(range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels, memory)
 
 
