@@ -214,6 +214,7 @@ class TrackedConfig(Config):
     long_moving_mps: Speed = Field(description="the same for vehicles and long tracks")
     max_static_class_speed_mps: Speed = Field(description="a track of a static class above this is static")
     max_static_length_m: Metres = Field(description="longer static tracks are left to the raw field")
+    max_static_width_m: Metres = Field(description="so are broader ones: the box of two vehicles")
     max_coasting_s: Seconds = Field(description="an unclassified track unseen for longer does not move")
     moving_sigmas: float = Field(ge=0.0, le=10.0)
     fragment_parent_m: Metres = Field(description="length from which a static track may have fragments")

@@ -220,8 +220,9 @@ def nearest_critical_object(
     times_s = np.linspace(0.0, predicted_s, config.steps)
     best = NO_CRITICAL_OBJECT
     for track, moves in near:
-        if not moves and (track.label is ObstacleClass.UNKNOWN or length_m(track) > config.max_static_length_m):
-            continue  # left to the raw field: unclassified, or a fence or hedge whose box covers free ground
+        is_large = length_m(track) > config.max_static_length_m or np.min(track.size_m[:2]) > config.max_static_width_m
+        if not moves and (track.label is ObstacleClass.UNKNOWN or is_large):
+            continue  # left to the raw field: unclassified, or a box that covers free ground: fence, hedge, two vehicles
         if not moves and is_beside(track, pose_odom, area):
             continue
         clearance = _clearance_to_track(area, track, moves, pose_odom, times_s, config)

@@ -283,6 +283,10 @@ def test_static_track_length_limit(sweep: SweptArea, config: SafetyConfig) -> No
         geofence = moving_track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(long, 1.5, 1.5))
         critical_object = nearest_ahead(sweep, SHAPES[0], Tracks(START_NS, (geofence,)), 4.0, config.tracked)
         assert (critical_object != NO_CRITICAL_OBJECT) == (long <= config.tracked.max_static_length_m), long
+    for broad in (2.0, 2.9, 3.1, 4.0):
+        cars = moving_track(8.0, 0.0, label=ObstacleClass.VEHICLE, size=(5.0, broad, 1.5))
+        critical_object = nearest_ahead(sweep, SHAPES[0], Tracks(START_NS, (cars,)), 4.0, config.tracked)
+        assert (critical_object != NO_CRITICAL_OBJECT) == (broad <= config.tracked.max_static_width_m), broad
 
 
 def test_coasting_unclassified_track(sweep: SweptArea, config: SafetyConfig) -> None:
