@@ -222,7 +222,7 @@ def nearest_critical_object(
     for track, moves in near:
         is_large = length_m(track) > config.max_static_length_m or np.min(track.size_m[:2]) > config.max_static_width_m
         if not moves and (track.label is ObstacleClass.UNKNOWN or is_large):
-            continue  # left to the raw field: unclassified, or a box that covers free ground: fence, hedge, two vehicles
+            continue  # left to the raw field: unclassified, or a box that covers free ground: fence, hedge, two cars
         if not moves and is_beside(track, pose_odom, area):
             continue
         clearance = _clearance_to_track(area, track, moves, pose_odom, times_s, config)
