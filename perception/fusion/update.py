@@ -51,14 +51,14 @@ def update(
     is_piece = is_of(table.class_evidence[tracks], VEHICLE) & (
         size[:, 0] < FRAGMENT_LENGTH_RATIO * table.size_m[tracks, 0]
     )
-    none = np.zeros(len(rows), np.bool_)
-    fixed = ~is_piece & _is_structure(size, config) if detections.is_lidar else none
-    restarts = is_other = ~is_piece & _is_other_part(table, tracks, size, lidars) if detections.is_lidar else none
+    is_body = ~is_piece & np.bool_(detections.is_lidar)
+    fixed = is_body & _is_structure(size, config)
+    restarts = is_other = is_body & _is_other_part(table, tracks, size, longer_m, lidars)
     was_lost = detections.stamp_ns - table.last_ns[tracks] > nanoseconds(config.lost_s)
     if fixed.any() or was_lost.any():
         _reset_velocity(x, P, detections, rows, fixed, was_lost, config)
     z, R = detections.p_m[rows, :2], detections.R[rows]
-    steady = ~is_piece & _is_steady(table, tracks, size, detections.yaw_rad[rows]) if detections.is_lidar else none
+    steady = is_body & _is_steady(table, tracks, size, detections.yaw_rad[rows])
     if steady.any():
         noise = config.noise.position_sigma_m, STEADY_SHARE
         R[steady] = box_noise(size[steady], detections.yaw_rad[rows][steady], *noise)
@@ -71,7 +71,7 @@ def update(
     is_soon = detections.stamp_ns - table.last_ns[tracks] <= OTHER_PART_NS
     if is_other.any():
         R[is_other & is_soon] += np.eye(2) * (UNIFORM_SIGMA * longer_m[is_other & is_soon])[:, None, None] ** 2
-        restarts = is_other & ~_is_of_one_body(table, tracks, detections, rows, z)
+        restarts = is_other & ~_is_of_one_body(table, tracks, detections, rows, z, longer_m)
     is_jump = restarts & is_soon
     before, before_P = x[is_jump], P[is_jump]
     correct(x, P, z, R, 0)
@@ -161,23 +161,24 @@ def _remember(table: TrackTable, tracks: Int64, detections: Detections, rows: In
         table.recent_ns[tracks], table.recent_m[tracks], table.recent_view[tracks] = recent
 
 
-def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, lidars: int) -> Bool:
-    """Whether lidar boxes (K,) are of other parts than those measured before, of tracks without confirmed motion."""
+def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, longer_m: Float64, lidars: int) -> Bool:
+    """Whether lidar boxes (K,), the longer of old and new (K,), are of other parts; not of tracks that moved."""
     before_m = table.size_m[tracks]
-    longer_m = np.maximum(size_m[:, 0], before_m[:, 0])
     differs = np.abs(size_m[:, :2] - before_m[:, :2]).max(axis=1, initial=0.0) > OTHER_PART_SHARE * longer_m
     is_measured = (table.sensors[tracks] & lidars != 0) & (table.has_moved[tracks] == 0)
     return np.asarray(differs & (longer_m > OTHER_PART_M) & is_measured)
 
 
-def _is_of_one_body(table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, z_m: Float64) -> Bool:
-    """Whether detections (K,), at z (K, 2), are of the body of their track although their size is another: the same
-    lidar saw it as long in its last scan, or the track has gone on by more than parts of a body are apart."""
+def _is_of_one_body(
+    table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, z_m: Float64, longer_m: Float64
+) -> Bool:
+    """Whether detections (K,), at z (K, 2), the longer of both lengths (K,), are of the body of their track although
+    their size is another: the same lidar saw it as long in its last scan, or the track has gone on by more than parts
+    of a body are apart."""
     length_m, recent_ns = detections.size_m[rows, 0], table.recent_ns[tracks]
     since_ns = detections.stamp_ns - OTHER_PART_NS
     in_view_m = length_in_view(recent_ns, table.recent_view[tracks], detections.sensor, since_ns)
     is_same = np.abs(length_m - in_view_m) <= OTHER_PART_SHARE * np.maximum(length_m, in_view_m)
-    longer_m = np.maximum(length_m, table.size_m[tracks, 0])
     has_gone = has_travelled(recent_ns, table.recent_m[tracks], detections.stamp_ns, z_m, longer_m)
     return np.asarray(is_same | has_gone)
 

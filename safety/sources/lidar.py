@@ -2,7 +2,7 @@
 
 import math
 import zlib
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class LidarSource:
 
     def update(
         self, scan: LidarScan, pose_odom: Float64, motion: Motion, curvature_radpm: float, box: Box,
-        others: Iterable["LidarSource"] = (),
+        others: Sequence["LidarSource"] = (),
     ) -> None:  # fmt: skip
         """Processes a scan; `pose_odom` (3,) is base at its stamp, `box` the area of interest in base at that time.
 
@@ -163,7 +163,6 @@ class LidarSource:
         obstacles = near_xyz.take(marked, axis=1).astype(np.float64)
         points_odom = np.column_stack([to_frame(pose_odom, obstacles[:2].T), obstacles[2]])
         returns = by_cell(cell_keys(points_odom, field.cell_m))
-        others = tuple(others)
         self._ask(others, points_odom, returns, is_floating, is_standing)
         is_floating |= floats_as_a_whole(returns, is_floating, is_standing)
         self._keep_floated(points_odom[is_floating])
@@ -256,7 +255,7 @@ class LidarSource:
         return is_dust, *floating(image, pixels, self._T_base_sensor, *ground, config.clear_m)
 
     def _ask(
-        self, others: Iterable["LidarSource"], points_odom: Float64, returns: Returns, is_floating: np.ndarray,
+        self, others: Sequence["LidarSource"], points_odom: Float64, returns: Returns, is_floating: np.ndarray,
         is_standing: np.ndarray,
     ) -> None:  # fmt: skip
         """Adds to `is_floating` (N,) the returns of cells, above the ground, below which only other lidars see."""
@@ -279,7 +278,7 @@ class LidarSource:
         self.floated = (*last, (now_ns, points_odom)) if len(points_odom) else last
 
     def _follows_floating(
-        self, others: tuple["LidarSource", ...], points_odom: Float64, returns: Returns, is_standing: np.ndarray
+        self, others: Sequence["LidarSource"], points_odom: Float64, returns: Returns, is_standing: np.ndarray
     ) -> np.ndarray:
         """Which returns (N,) are in cells where nothing stands, as near to what floated in the last scans as a bird
         flies, (N,) bool."""

@@ -10,6 +10,7 @@ import numpy as np
 from configs.site import Site
 from configs.vehicle import MountedImplement, outlines
 from geometry.arrays import Float64
+from geometry.pose2 import Pose2, point_from_frame
 from simulation.actors.actors import ActorState
 from simulation.environment.terrain import Terrain, longest_edge_rad
 from simulation.machine.implement import working_point_m
@@ -59,8 +60,7 @@ class Gull:
 
 def height_to_pass_m(machine: Machine, x_m: float, y_m: float) -> float:
     """Least height at a place for a gull that passes over machine and implement, at which it climbs and sinks."""
-    dx, dy, c, s = x_m - machine.x_m, y_m - machine.y_m, math.cos(machine.yaw_rad), math.sin(machine.yaw_rad)
-    x, y = c * dx + s * dy, c * dy - s * dx
+    x, y = point_from_frame(Pose2(machine.x_m, machine.y_m, machine.yaw_rad), x_m, y_m)
     body, implement = machine.vehicle.body, machine.attached.implement
     height_m, implement_m = 0.0, implement.height_m if isinstance(implement, MountedImplement) else body.height_m
     for outline, top_m in zip(outlines(body, implement), (body.height_m, implement_m), strict=True):
