@@ -56,9 +56,10 @@ ByWindow = dict[WindowConfig, Separation]
 
 @dataclass(frozen=True)
 class Finding:
-    """What begins a suspicion: separation from the reference, and slip (4,) with sigmas before the fault."""
+    """What begins a suspicion: separation from the reference since the anchor, and slip (4,) with sigmas there."""
 
     code: str
+    anchor_ns: int
     separation: Separation
     slip: Float64
     slip_sigma: Float64
@@ -70,7 +71,7 @@ class GnssMonitor:
     def __init__(self, config: GnssMonitorConfig, odometry: OdometrySeparation) -> None:
         self._config = config
         self.odometry, self._velocity = odometry, VelocitySeparation(config.separation)
-        self._anchor_ns: int | None = None
+        self.anchor_ns: int | None = None  # before what is suspected
         self._agreed_ns: int | None = None
         self._refused = 0
         self._held: deque[tuple[int, float]] = deque()  # end of validity and bound, each lower than the one before
@@ -83,7 +84,7 @@ class GnssMonitor:
         """Drops all measurements, after a gap, clock jump or start."""
         self.odometry.clear()
         self._velocity.clear()
-        self._anchor_ns = self._agreed_ns = None
+        self.anchor_ns = self._agreed_ns = None
         self._held.clear()
         self._refused, self._level_m = 0, 0.0
         self.suspicion, self.is_slipping = "", False
@@ -170,8 +171,8 @@ class GnssMonitor:
         if max(ratios.values(), default=0.0) > limit:
             return self._begin(ODOMETRY, stamp_ns, ratios)
         if self._refused >= self._config.refused_fixes and not self.is_slipping:
-            return self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
-        return None
+            self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
+        return None  # the graph has not followed refused fixes: nothing to exclude
 
     def _begin(self, code: str, stamp_ns: int, ratios: dict[WindowConfig, float]) -> Finding | None:
         """Begins a suspicion, anchored one window before the one that shows it best: nothing was wrong there yet."""
@@ -180,20 +181,20 @@ class GnssMonitor:
             return None
         best = windows.index(max(windows, key=lambda w: ratios[w]))
         anchor_ns = stamp_ns - round(windows[min(best + 1, len(windows) - 1)].window_s * 1e9)
-        self.suspicion, self._anchor_ns, self._agreed_ns = code, anchor_ns, None
+        self.suspicion, self.anchor_ns, self._agreed_ns = code, anchor_ns, None
         reference, slip = self._reference(), self.odometry.slip_at(anchor_ns)
         if reference is None or slip is None:
             self.suspicion = ""
             return None
         self.detail = f"{float(np.linalg.norm(reference.d_m)):.2f} m apart in {reference.age_s:.0f} s"
-        return Finding(code, reference, *slip)
+        return Finding(code, anchor_ns, reference, *slip)
 
     def _reference(self) -> Separation | None:
         """Separation since the anchor from the best reference that the suspicion leaves."""
-        assert self._anchor_ns is not None, "called while a suspicion lasts"
-        found = [self.odometry.since(self._anchor_ns), self.odometry.by_lidar_since(self._anchor_ns)]
+        assert self.anchor_ns is not None, "called while a suspicion lasts"
+        found = [self.odometry.since(self.anchor_ns), self.odometry.by_lidar_since(self.anchor_ns)]
         if self.suspicion != ODOMETRY:
-            found.append(self._velocity.since(self._anchor_ns))
+            found.append(self._velocity.since(self.anchor_ns))
         return min((s for s in found if s is not None), key=lambda s: s.sigma_m, default=None)
 
     def _follow(self, stamp_ns: int) -> None:

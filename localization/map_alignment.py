@@ -303,7 +303,7 @@ class MapAlignment:
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
         self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
-        if finding is not None:
+        if finding is not None and self._accepted_ns > finding.anchor_ns:
             reference_m = base_m[:2] - finding.separation.d_m
             self._restart(excluded(state, T_base_body, reference_m, finding))
 
@@ -383,7 +383,8 @@ class MapAlignment:
                 continue
             T = motion_between(span, self._odometry.history, start[1], end[1])
             if T is not None:
-                self.keyframes.add_relative_pose(start[0], end[0], T, self.odometry_spans.covariance(span))
+                course = self.monitor.odometry.course_at(self._undisputed_ns)
+                self.keyframes.add_relative_pose(start[0], end[0], T, self.odometry_spans.covariance(span), course)
 
     def _count(self, position: Position, reason: RejectionReason) -> None:
         if reason is RejectionReason.NONE:
@@ -433,6 +434,12 @@ class MapAlignment:
         """Whether fixes are suspected, or refused now: a single one before an outage is no dispute for good."""
         is_refused = self.is_rejecting and stamp_ns - self._rejected_ns <= self._config.integrity.outage_s * 1e9
         return is_refused or bool(self.monitor.suspicion)
+
+    @property
+    def _undisputed_ns(self) -> int:
+        """Time up to which fixes have been right, as far as is known."""
+        anchor_ns = self.monitor.anchor_ns
+        return self._accepted_ns if anchor_ns is None else min(anchor_ns, self._accepted_ns)
 
     def _forward_mps(self, state: State) -> float:
         """Forward speed of base by the graph."""

@@ -263,12 +263,13 @@ class LidarPath:
 
 
 @dataclass(frozen=True)
-class _Course:
-    """Angle and its variance, as known from a time on."""
+class Course:
+    """Angle of lidar odometry against the positions and its variance, as known from a time on; `walk` per second."""
 
     stamp_ns: int
     angle_rad: float
     variance: float
+    walk: float
 
 
 class CourseOffset:
@@ -278,9 +279,8 @@ class CourseOffset:
     """
 
     def __init__(self, config: SeparationConfig) -> None:
-        self._walk = math.radians(config.course_walk_deg) ** 2
-        self._rows: _Rows[_Course] = _Rows()
-        self._prior = _Course(0, 0.0, math.radians(config.course_deg) ** 2)
+        self._rows: _Rows[Course] = _Rows()
+        self._prior = Course(0, 0.0, math.radians(config.course_deg) ** 2, math.radians(config.course_walk_deg) ** 2)
 
     def clear(self) -> None:
         """Drops what is known of times; the newest angle remains, as well known as mounts are without a drive."""
@@ -288,7 +288,7 @@ class CourseOffset:
         self._rows.clear()
         self._prior = replace(self._prior, angle_rad=newest.angle_rad)
 
-    def at(self, stamp_ns: int) -> _Course:
+    def at(self, stamp_ns: int) -> Course:
         """What is known at a time."""
         return self._rows.at(stamp_ns) or self._prior
 
@@ -297,11 +297,11 @@ class CourseOffset:
         newest = self._rows.newest
         angle, known = (newest or self._prior).angle_rad, (newest or self._prior).variance
         if newest is not None:
-            known = min(known + self._walk * (stamp_ns - newest.stamp_ns) * 1e-9, self._prior.variance)
+            known = min(known + self._prior.walk * (stamp_ns - newest.stamp_ns) * 1e-9, self._prior.variance)
         total, off = known + variance, angle_rad - angle
         if off * off <= COURSE_GATE**2 * total:
             angle, known = angle + known / total * off, known * variance / total
-        self._rows.add(_Course(stamp_ns, angle, known))
+        self._rows.add(Course(stamp_ns, angle, known, self._prior.walk))
 
 
 class OdometrySeparation:
@@ -352,6 +352,10 @@ class OdometrySeparation:
         )  # fmt: skip
         self._rows.add(row)
         self._learn_course()
+
+    def course_at(self, stamp_ns: int) -> Course:
+        """Angle of lidar odometry against the positions, as known at a time."""
+        return self._course.at(stamp_ns)
 
     def _learn_course(self) -> None:
         """Measures the course offset when lidar odometry has passed `COURSE_M`."""

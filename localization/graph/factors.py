@@ -3,7 +3,8 @@
 A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
 S (4,): scale, drift, slip per longitudinal force, slip angle per lateral force (see `displacement_columns` in
 wheel_track.py); with UWB ranges also C, scale and bias of every anchor (see uwb_factor.py); with
-fixes whose correlated error is estimated also E, that error (3,) in `map`.
+fixes whose correlated error is estimated also E, that error (3,) in `map`; with lidar odometry also M, the angle (1,)
+by which it is turned against the positions: mounts of lidar and antennas in yaw.
 """
 
 import math
@@ -11,15 +12,17 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, E, S, V, X
+from gtsam.symbol_shorthand import B, C, E, M, S, V, X
 
 from geometry.angles import wrap
 from geometry.arrays import Float64
+from geometry.transforms import invert, planar
 
 __all__ = [
     "B",
     "C",
     "E",
+    "M",
     "S",
     "V",
     "X",
@@ -135,9 +138,29 @@ def standstill_factor(start: int, end: int, sigma_rad: Float64, sigma_m: Float64
     return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(), model)
 
 
-def relative_pose_factor(start: int, end: int, T_start_end: Float64, covariance: Float64) -> gtsam.BetweenFactorPose3:
-    """Measured motion of the body between two keyframes; covariance (6, 6), rotation then translation."""
-    return gtsam.BetweenFactorPose3(X(start), X(end), gtsam.Pose3(T_start_end), _huber(covariance))
+def relative_pose_factor(
+    start: int, end: int, turned: int, T_start_end: Float64, T_base_body: Float64, covariance: Float64
+) -> gtsam.CustomFactor:
+    """Motion of base between two keyframes, whose translation is turned by the angle of the keyframe `turned`.
+
+    `covariance` (6, 6), rotation then translation in base at the end; `T_base_body` is without rotation.
+    """
+    before, after, angle = X(start), X(end), M(turned)
+    T_body_base, to_body = invert(T_base_body), gtsam.Pose3(invert(T_base_body)).AdjointMap()
+    by_end = np.eye(6)
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
+        T = T_start_end.copy()
+        T[:3, 3] = planar(0.0, 0.0, float(values.atVector(angle)[0]))[:3, :3] @ T[:3, 3]
+        moved = values.atPose3(before).between(values.atPose3(after))
+        if H is not None:
+            turned_m = np.array([-T[1, 3], T[0, 3], 0.0])
+            H[0] = -moved.inverse().AdjointMap()
+            H[1] = by_end.copy()
+            H[2] = -to_body[:, 3:] @ (T[:3, :3].T @ turned_m)[:, None]
+        return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(T_body_base @ invert(T) @ T_base_body).compose(moved)))
+
+    return gtsam.CustomFactor(_huber(to_body @ covariance @ to_body.T), [before, after, angle], error)
 
 
 def pose_factor(key: int, T_map_body: Float64, covariance: Float64) -> gtsam.PriorFactorPose3:

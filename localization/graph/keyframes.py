@@ -23,6 +23,8 @@ from localization.gnss_gate import GnssConfig, GnssGate, Position, RejectionReas
 from localization.graph.factors import (
     B,
     C,
+    E,
+    M,
     V,
     X,
     gnss_factor,
@@ -50,7 +52,7 @@ from localization.graph.motion_window import MotionWindow
 from localization.graph.smoother import Smoother, SmootherConfig, State
 from localization.graph.uwb_factor import ranges_factor
 from localization.lidar.pose_measurement import PoseMeasurement, PoseMeasurementConfig, agrees
-from localization.separation import OdometrySeparation, SeparationConfig
+from localization.separation import Course, OdometrySeparation, SeparationConfig
 from localization.uwb.range_gate import RangeBatch, RangeGate
 
 GRAVITY_SIGMA_MPS2 = 0.02
@@ -106,6 +108,8 @@ class KeyframeBuilder:
         self.columns: Float64 | None = None
         self.late_rad, self.is_slipping, self.headings_refused = 0.0, False, 0
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
+        self._turned: tuple[int, int] | None = None  # the same of the newest angle of lidar odometry
+        self._course: Course | None = None  # of motions that wait
         self._fix_errors = FixErrors(gnss.estimated_white_share)
 
     def separation(self, config: SeparationConfig) -> OdometrySeparation:
@@ -157,16 +161,19 @@ class KeyframeBuilder:
     def restart(self, state: State) -> State:
         """Restarts the graph at a known state."""
         self._pending_factors.clear()
-        self._calibrated, self.headings_refused = None, 0
+        self._calibrated, self._turned, self._course, self.headings_refused = None, None, None, 0
         self._fix_errors.clear()
         self.smoother.start(state)
         return state
 
-    def add_relative_pose(self, start: int, end: int, T_base: Float64, covariance: Float64) -> None:
-        """Adds a motion of base between two keyframes to the next update; covariance (6, 6) in base at its end."""
-        T = invert(self.lever_arms.T_base_body) @ T_base @ self.lever_arms.T_base_body
-        A = gtsam.Pose3(invert(self.lever_arms.T_base_body)).AdjointMap()
-        self._pending_factors.append(relative_pose_factor(start, end, T, A @ covariance @ A.T))
+    def add_relative_pose(self, start: int, end: int, T_base: Float64, covariance: Float64, course: Course) -> None:
+        """Adds a motion of base between two keyframes to the next update; covariance (6, 6) in base at its end.
+
+        `course` is the angle of lidar odometry as known without this graph, which estimates it from there on.
+        """
+        key, T_base_body = self.smoother.next_key, self.lever_arms.T_base_body
+        self._pending_factors.append(relative_pose_factor(start, end, key, T_base, T_base_body, covariance))
+        self._course = course
 
     def add(
         self, stamp_ns: int, track: ImuTrack, wheels: WheelTrack, positions: list[Position],
@@ -186,6 +193,11 @@ class KeyframeBuilder:
         preintegrated = preintegrate(self._parameters, last.bias, steps, density)
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
         factors, self._pending_factors = self._pending_factors, []
+        variables: dict[int, Float64] = {}
+        if self._course is not None:
+            course_rad, factor = self._course_factor(key, stamp_ns, self._course)
+            variables[M(key)] = np.array([course_rad])
+            factors.append(factor)
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
         antenna = self._antenna(guess, dt_s, density)
         reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
@@ -196,19 +208,28 @@ class KeyframeBuilder:
         factors += self._pose_factors(key, guess, pose_measurements)
         range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
         imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
-        root = math.sqrt(dt_s)
-        fix_error = self._fix_errors.guess
-        if not range_factors or self.range_gate is None:
-            self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, fix_error=fix_error)
-            self._fix_errors.read(key, self.smoother)
-            return reasons
-        range_gate = self.range_gate
-        factors += range_factors
-        self.smoother.add(guess, imu_factor, root * self._wheels.walk, factors, range_gate.calibration, fix_error)
+        if self._fix_errors.guess is not None:
+            variables[E(key)] = self._fix_errors.guess
+        if range_factors and self.range_gate is not None:
+            factors += range_factors
+            variables[C(key)] = self.range_gate.calibration
+        self.smoother.add(guess, imu_factor, math.sqrt(dt_s) * self._wheels.walk, factors, variables)
         self._fix_errors.read(key, self.smoother)
-        range_gate.calibration, range_gate.calibration_covariance = self.smoother.calibration(key)
-        self._calibrated = key, stamp_ns
+        if M(key) in variables:
+            self._turned, self._course = (key, stamp_ns), None
+        if C(key) in variables and self.range_gate is not None:
+            self.range_gate.calibration, self.range_gate.calibration_covariance = self.smoother.calibration(key)
+            self._calibrated = key, stamp_ns
         return reasons
+
+    def _course_factor(self, key: int, stamp_ns: int, course: Course) -> tuple[float, gtsam.NonlinearFactor]:
+        """First value of the angle of lidar odometry, and its factor to the one before or its prior."""
+        before, sigma = self._turned, gtsam.noiseModel.Isotropic.Sigma
+        if before is None or not self.smoother.is_within_lag(before[0]):
+            prior = sigma(1, math.sqrt(course.variance))
+            return course.angle_rad, gtsam.PriorFactorVector(M(key), np.array([course.angle_rad]), prior)
+        walk = sigma(1, math.sqrt(course.walk * (stamp_ns - before[1]) * 1e-9))
+        return self.smoother.course_rad(before[0]), gtsam.BetweenFactorVector(M(before[0]), M(key), np.zeros(1), walk)
 
     def _pose_factors(
         self, key: int, guess: State, pose_measurements: Sequence[PoseMeasurement]

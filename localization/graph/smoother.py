@@ -1,7 +1,7 @@
 """Fixed-lag smoother: adds keyframes and returns the newest state with its covariance."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -10,7 +10,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float64
-from localization.graph.factors import B, C, E, S, V, X
+from localization.graph.factors import B, C, E, M, S, V, X
 from localization.graph.imu_preintegration import constant_bias
 
 POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
@@ -119,12 +119,9 @@ class Smoother:
         imu_factor: gtsam.CombinedImuFactor,
         slip_sigma: Float64,
         factors: Sequence[gtsam.NonlinearFactor],
-        calibration: Float64 | None = None,
-        fix_error: Float64 | None = None,
+        variables: Mapping[int, Float64] | None = None,
     ) -> State:
-        """Adds the keyframe `next_key` at `guess`, with a `calibration` of the anchors where `factors` refer to one.
-
-        `fix_error` (3,) is the first value of the error of the fixes, where `factors` refer to that.
+        """Adds the keyframe `next_key` at `guess`; `variables`: first values of the others to which `factors` refer.
 
         Raises SmootherFailure.
         """
@@ -137,7 +134,7 @@ class Smoother:
         for factor in factors:
             graph.add(factor)
         try:
-            self._update(k, guess, graph, calibration, fix_error)
+            self._update(k, guess, graph, variables)
             state = self._read(k, guess.stamp_ns)
             self._check_jump(guess, state)
         except FAILURES as error:
@@ -148,6 +145,10 @@ class Smoother:
     def fix_error(self, key: int) -> Float64:
         """Error (3,) of the fixes at a keyframe added with one."""
         return np.asarray(self._graph.calculateEstimateVector(E(key)))
+
+    def course_rad(self, key: int) -> float:
+        """Angle of lidar odometry against the positions at a keyframe added with one."""
+        return float(self._graph.calculateEstimateVector(M(key))[0])
 
     def _check_jump(self, guess: State, state: State) -> None:
         """Raises ValueError for a solution far from what was expected: the solver has lost its way."""
@@ -165,9 +166,8 @@ class Smoother:
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
     def _update(
-        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, calibration: Float64 | None = None,
-        fix_error: Float64 | None = None,
-    ) -> None:  # fmt: skip
+        self, k: int, state: State, factors: gtsam.NonlinearFactorGraph, variables: Mapping[int, Float64] | None = None
+    ) -> None:
         time_s = (state.stamp_ns - self._origin_ns) * 1e-9
         values = gtsam.Values()
         values.insert(X(k), gtsam.Pose3(state.T_map_body))
@@ -175,12 +175,9 @@ class Smoother:
         values.insert(B(k), constant_bias(state.bias))
         values.insert(S(k), np.asarray(state.slip, np.float64))
         keys = [X(k), V(k), B(k), S(k)]
-        if calibration is not None:
-            values.insert(C(k), calibration)
-            keys.append(C(k))
-        if fix_error is not None:
-            values.insert(E(k), fix_error)
-            keys.append(E(k))
+        for key, value in (variables or {}).items():
+            values.insert(key, value)
+            keys.append(key)
         self._graph.update(factors, values, dict.fromkeys(keys, time_s))
         self._stamps[k] = state.stamp_ns
         limit_ns = state.stamp_ns - int(self._config.lag_s * 1e9)

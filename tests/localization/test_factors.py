@@ -3,13 +3,14 @@
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import S, X
+from gtsam.symbol_shorthand import M, S, X
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.transforms import invert, planar
 from localization.dead_reckoning.imu_track import Steps
 from localization.dead_reckoning.wheel_track import displacement_columns
-from localization.graph.factors import heading_factor, wheel_factor
+from localization.graph.factors import heading_factor, relative_pose_factor, wheel_factor
 
 ARM = np.array([-0.4, 0.0, -1.1])
 angle = st.floats(-3.0, 3.0)
@@ -53,6 +54,24 @@ def test_factor_derivatives(roll, pitch, yaw, turn):
         order = factor.linearize(values).keys()
         expected = np.hstack([differences(factor, values, key, 4 if key == S(1) else 6) for key in order])
         assert np.allclose(jacobian, expected, atol=1e-6)
+
+
+@given(roll=tilt, pitch=tilt, yaw=angle, turn=tilt)
+@settings(max_examples=20, derandomize=True, deadline=None)
+def test_derivatives_of_a_motion_that_is_turned(roll, pitch, yaw, turn):
+    values, T_base_body, course = values_at(roll, pitch, yaw, turn), np.eye(4), np.array([0.01])
+    T_base_body[:3, 3] = -ARM
+    first, last = (values.atPose3(X(k)).matrix() @ invert(T_base_body) for k in (1, 2))
+    motion = invert(first) @ last
+    motion[:3, 3] = planar(0.0, 0.0, -0.01)[:3, :3] @ motion[:3, 3]
+    values.insert(M(2), course)
+    A = gtsam.Pose3(T_base_body).AdjointMap()  # covariance 1 in the body
+    factor = relative_pose_factor(1, 2, 2, motion, T_base_body, A @ A.T)
+    assert factor.unwhitenedError(values) == pytest.approx(np.zeros(6), abs=1e-12)
+    linear = factor.linearize(values)
+    order = linear.keys()
+    expected = np.hstack([differences(factor, values, key, 1 if key == M(2) else 6) for key in order])
+    assert np.allclose(linear.jacobian()[0], expected, atol=1e-6)
 
 
 def test_heading_error_wraps():

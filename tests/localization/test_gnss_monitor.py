@@ -123,6 +123,9 @@ def test_a_lidar_mounted_off_in_yaw_is_learned(yaw_deg):
     row, codes = with_lidar("spoofed ramp 0.1 m/s 30 s", (0.0, 0.0, 0.0), yaw_deg)
     assert codes & {"gnss.contradicts_odometry", "gnss.contradicts_velocity"}
     assert row.misleading_s == [0.0] * 4
+    row, _ = with_lidar("outage 30 s", (0.0, 0.0, 0.0), yaw_deg)  # 35 m in 14 s, which the mount turns by 0.37 m
+    assert row.max_error_m < 0.12
+    assert row.max_excess_m < 0.0
 
 
 def test_lidar_odometry_that_the_wheels_contradict_is_not_believed_against_gnss():
