@@ -1,10 +1,13 @@
-"""Class of tracks from shape over time and speed; a cyclist, whom no shape of a standing person covers, is a person."""
+"""Class of tracks from shape over time and speed.
+
+A cyclist, whom no shape of a standing person covers, is a person; what floated a moment ago and is fast flies.
+"""
 
 import numpy as np
 
 from geometry.arrays import Float64, Int64
 from messages.perception import ObstacleClass
-from perception.fusion.tracks import CLASSES, TrackTable
+from perception.fusion.tracks import AIRBORNE, CLASSES, FLIGHT_MPS, TrackTable
 from perception.lidar.classes import UNKNOWN_WEIGHT, trapezoid
 
 PERSON = CLASSES.index(ObstacleClass.PERSON)
@@ -17,6 +20,7 @@ CLASS_SPEEDS_MPS = {
 MAX_SPEED_MPS = np.array([CLASS_SPEEDS_MPS.get(label, np.inf) for label in CLASSES])
 # length, width and height of bicycle and rider (m), and their speed (m/s): zero below, one from, one to, zero above
 YOUNG_NS = 500_000_000  # a track that is younger has no speed yet
+FLOATED_NS = 1_000_000_000  # dust at the ground has clear space beneath it in some scans, and its parts seem to run
 CYCLIST_SPEED_MPS = 4.0
 CYCLIST = ((1.3, 1.55, 1.95, 2.2), (0.2, 0.4, 0.9, 1.1), (1.2, 1.45, 2.0, 2.3), (1.5, 2.5, 10.0, 14.0))
 
@@ -36,6 +40,7 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     cyclist = cyclist_probability(table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
     share *= 1.0 - cyclist[:, None]
     share[:, PERSON] += cyclist
+    share[(table.last_ns - table.floated_ns <= FLOATED_NS) & (speed >= FLIGHT_MPS)] = np.eye(len(CLASSES))[AIRBORNE]
     best = share.argmax(axis=1).astype(np.int64)
     return best, share[np.arange(len(best)), best]
 

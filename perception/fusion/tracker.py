@@ -52,6 +52,7 @@ class Tracker(Node):
         )
         self._config = config
         self._static_occupancy = StaticOccupancy(config.static_occupancy)
+        self._moving = np.zeros(0, np.int64)  # tracks of the last message whose motion nothing contradicted
         self._table = empty_table()
         self._stamp_ns, self._published_ns = 0, 0
         self._period_ns = round(spec_of("tracks").period_s * 1e9)
@@ -113,7 +114,9 @@ class Tracker(Node):
         velocity, covariance = velocities(t, self._config)
         occupancy = self._static_occupancy
         is_static = occupancy.contradicts_motion(t.x, velocity, t.size_m, self._stamp_ns)
-        velocity[is_static & (~is_moving_class(t.class_evidence) | is_rail(t.size_m, t.class_evidence))] = 0.0
+        is_static &= ~is_moving_class(t.class_evidence) | is_rail(t.size_m, t.class_evidence)
+        velocity[is_static & ~np.isin(t.id, self._moving)] = 0.0  # one contradiction does not stop a body that moved
+        self._moving = t.id[velocity.any(axis=1) & ~is_static]
         is_line = is_line_along(t.size_m, t.yaw_rad, velocity)
         velocity[is_line & occupancy.continues_ahead(t.x, velocity, t.size_m, self._stamp_ns)] = 0.0
         label, confidence = classify(t, velocity)

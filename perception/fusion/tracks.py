@@ -20,6 +20,7 @@ MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, O
 UNKNOWN, PERSON, POLE, AIRBORNE = (
     CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE, ObstacleClass.AIRBORNE)
 )
+FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the ground before
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height
@@ -60,7 +61,8 @@ class TrackTable:
 
     `moving_since_ns`: start of uninterrupted motion (0: none), `motion_origin_m`: position at that time; `has_moved`:
     whether the distance since agrees with the speed; `box_measured_ns`: stamp of the last measured box;
-    `restarted_ns`: when the track started or went over to another part; `recent_ns`, `recent_m` and
+    `restarted_ns`: when the track started or went over to another part; `floated_ns`: when it was last seen with clear
+    space beneath it (0: never); `recent_ns`, `recent_m` and
     `recent_view`, sensor and length: the last detections by lidar.
     """
 
@@ -82,6 +84,7 @@ class TrackTable:
     is_confirmed: Int64
     sensors: Int64
     restarted_ns: Int64
+    floated_ns: Int64
     recent_ns: Int64
     recent_m: Float64
     recent_view: Float64
@@ -121,7 +124,7 @@ def empty_table() -> TrackTable:
     none = np.zeros(0)
     return TrackTable(
         no_int, np.zeros((0, 4)), np.zeros((0, 4, 4)), none, np.zeros((0, 3)), none, none, np.zeros((0, len(CLASSES))),
-        no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int, no_int,
+        no_int, no_int, no_int, no_int, np.zeros((0, 2)), no_int, no_int, no_int, no_int, no_int, no_int,
         np.zeros((0, KEPT), np.int64), np.zeros((0, KEPT, 2)), np.zeros((0, KEPT, 2)),
     )  # fmt: skip
 
@@ -152,7 +155,8 @@ def start_tracks(detections: Detections, rows: Int64, first_id: int, config: Tra
         detections.evidence[rows], detections.class_log_scores[rows], stamp, stamp.copy(),
         stamp + nanoseconds(detections.kind.keep_unconfirmed_s),
         np.zeros(n, np.int64), x[:, :2].copy(), np.zeros(n, np.int64), stamp.copy(), np.zeros(n, np.int64),
-        np.full(n, 1 << detections.sensor, np.int64), stamp.copy(), *recent,
+        np.full(n, 1 << detections.sensor, np.int64), stamp.copy(),
+        np.where(is_of(detections.class_log_scores[rows], AIRBORNE), detections.stamp_ns, 0), *recent,
     )  # fmt: skip
 
 

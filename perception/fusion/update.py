@@ -16,6 +16,7 @@ from perception.fusion.fragments import VEHICLE, shift_center
 from perception.fusion.kalman import box_noise, correct
 from perception.fusion.tracks import (
     AIRBORNE,
+    FLIGHT_MPS,
     FRAGMENT_LENGTH_RATIO,
     TrackerConfig,
     TrackTable,
@@ -25,7 +26,6 @@ from perception.fusion.tracks import (
     start_states,
 )
 
-FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the ground before
 FRAGMENT_GAIN = 0.01  # of a fragment on the size of its vehicle
 UNIFORM_SIGMA = 0.29  # 1 / √12: sigma of a uniform distribution over a box
 MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the track has only jumped
@@ -136,6 +136,7 @@ def _add_evidence(
     flies = is_of(table.class_evidence[tracks], AIRBORNE) & (table.has_moved[tracks] > 0)
     flies &= np.hypot(table.x[tracks, 2], table.x[tracks, 3]) >= FLIGHT_MPS
     has_class &= ~flies | is_of(scores, AIRBORNE)
+    table.floated_ns[tracks[is_of(scores, AIRBORNE)]] = detections.stamp_ns
     classified = tracks[has_class]
     table.class_evidence[classified] = config.class_memory * table.class_evidence[classified] + scores[has_class]
 
