@@ -8,6 +8,7 @@ import numpy as np
 
 from simulation.actors.actors import ActorState
 from simulation.actors.surroundings import Condition, Surroundings
+from simulation.scenario_environment import Birds
 from simulation.scenario_objects import Accompany, Behaviour, Cross, LieDown, Stand, When
 from simulation.scenario_values import draw
 
@@ -26,6 +27,28 @@ class Step:
     walked_m: float = 0.0
     course_rad: float = 0.0
     lying: tuple[float, str] | None = None
+
+
+class Circling:
+    """Flight on a circle from where a behaviour would stand: what flies cannot stop in the air."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        values = draw(Birds(gulls=1), random)
+        self._radius_m, self._speed_mps = values["radius_m"], values["speed_mps"]
+        self._since_s: float | None = None
+
+    def step(self, at: Step, elapsed_s: float) -> Step:
+        """The step now, for the behaviour's step, which is kept while that moves."""
+        if at.speed_mps > 0.0:
+            self._since_s = None
+            return at
+        if self._since_s is None:
+            self._since_s = elapsed_s
+        way = self._speed_mps * (elapsed_s - self._since_s)
+        heading, radius = at.heading_rad + way / self._radius_m, self._radius_m
+        x = at.p_map_m[0] + radius * (math.sin(heading) - math.sin(at.heading_rad))
+        y = at.p_map_m[1] - radius * (math.cos(heading) - math.cos(at.heading_rad))
+        return Step((x, y), heading, self._speed_mps, at.walked_m + way, heading)
 
 
 class Motion(Protocol):

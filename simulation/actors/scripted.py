@@ -12,7 +12,8 @@ from geometry.arrays import Float64
 from geometry.pose2 import Pose2
 from messages.plan import Path
 from simulation.actors.actors import ActorState
-from simulation.actors.motion import Motion, Step, motion_of
+from simulation.actors.background import height_to_pass_m
+from simulation.actors.motion import Circling, Motion, Step, motion_of
 from simulation.actors.outline import Outline
 from simulation.actors.phases import PhaseTracker, PlanPosition, Situation
 from simulation.actors.surroundings import Condition, Surroundings
@@ -77,6 +78,7 @@ class ScriptedObject:
         self._bodies = Bodies(one, random)
         self._appearance = Condition(one.when, random)
         self._motion: Motion = motion_of(one.behaviour, random)
+        self._flight = Circling(random) if self._bodies.posture == "flying" else None
         self._last: ActorState | None = None
 
     def update(self, around: Surroundings) -> ActorState | None:
@@ -89,12 +91,16 @@ class ScriptedObject:
                 return None
             self._motion.begin(start, around.now.elapsed_s)
         step = self._motion.step(around, self._last)
+        up_m = 0.0
+        if self._flight is not None:
+            step = self._flight.step(step, around.now.elapsed_s)
+            up_m = max(0.0, height_to_pass_m(around.machine, *step.p_map_m) - self._bodies.height_m)
         x, y = step.p_map_m
         solid = self._bodies.of(step)
         is_moving = step.speed_mps > WALK_MPS
         velocity = (step.speed_mps * math.cos(step.course_rad), step.speed_mps * math.sin(step.course_rad))
         gait = step.walked_m / solid.stride_m % 1.0 if is_moving and solid.stride_m is not None else -1.0
-        state = ActorState(self._id, solid, self.name, (x, y, around.terrain.height_m(x, y)), step.heading_rad,
+        state = ActorState(self._id, solid, self.name, (x, y, around.terrain.height_m(x, y) + up_m), step.heading_rad,
                            velocity if is_moving else (0.0, 0.0), gait, self._one.visible_to)  # fmt: skip
         if self._last is None or state != self._last:  # an unchanged state keeps its cached meshes
             self._last = state
@@ -171,5 +177,5 @@ class ScriptedObjects:
                         is_in_yard, path_m, section)  # fmt: skip
         outline = Outline.of(machine, self._vehicle)
         return Surroundings(
-            now, self._phases.update(now), outline, self._plan, self._terrain, leading_end, self._states
+            now, machine, self._phases.update(now), outline, self._plan, self._terrain, leading_end, self._states
         )

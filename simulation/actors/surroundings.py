@@ -11,6 +11,7 @@ from simulation.actors.actors import ActorState
 from simulation.actors.outline import Outline
 from simulation.actors.phases import PhaseName, PlanPosition, Situation
 from simulation.environment.terrain import Terrain
+from simulation.machine.machine import Machine
 from simulation.scenario_objects import When
 from simulation.scenario_values import draw
 
@@ -20,6 +21,7 @@ class Surroundings:
     """Machine, plan and the other objects by name; `leading_end` is that in the direction of travel, with heading."""
 
     now: Situation
+    machine: Machine
     phases: frozenset[PhaseName]
     outline: Outline
     plan: PlanPosition

@@ -356,6 +356,19 @@ def test_gull_may_be_touched():
     assert [(o.role, o.kind, o.must_avoid) for o in objects] == [("gull", "gull", False), ("stone", "stone", True)]
 
 
+def test_a_gull_does_not_stand_in_the_air():
+    place = {"frame": "map", "x_m": 30.0, "y_m": 5.0}
+    gull = {"name": "gull", "object": "gull", "height_m": 1.5, "place": place, "behaviour": {"kind": "stand"}}
+    states = [(t, actors["gull"]) for t, actors in run(farm_of(gull), 12.0) if "gull" in actors]
+    points = np.array([actor.p_map_m[:2] for _, actor in states])
+    steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    speeds = [math.hypot(*actor.velocity_mps) for _, actor in states]
+    assert min(speeds) == pytest.approx(max(speeds))
+    assert 6.0 <= speeds[0] <= 10.0
+    assert steps_m == pytest.approx(0.1 * speeds[0], rel=0.05)
+    assert np.linalg.norm(points - np.array([30.0, 5.0]), axis=1).max() <= 24.1  # diameter of the largest circle
+
+
 def test_phases():
     """Start warning, start, straight, turn, reverse, resume; a short halt between directions is no resume."""
     tracker, found = PhaseTracker(), []
