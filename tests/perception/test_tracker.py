@@ -190,6 +190,20 @@ def test_occupied_trail_contradicts_motion(is_left_empty):
     assert np.hypot(*foremost.velocity_mps) == pytest.approx(3.0 if is_left_empty else 0.0, abs=0.6)
 
 
+def test_one_contradiction_does_not_stop_a_body_that_moved():
+    """Dust behind it fills its trail in single scans."""
+
+    def scan(i, t):
+        moving = [10.0 + 0.3 * i, 4.0, 1.0]
+        dust = [[moving[0] - 1.2 - 0.3 * k, 4.0, 1.0] for k in range(8)] if i == 10 else []
+        centers = [moving, *dust]
+        return replace(message(t, centers, (0.4, 0.3, 1.2)), class_scores=np.full((len(centers), 8), 1.0 / 8.0))
+
+    published = run(new_tracker(), [scan(i, t) for i, t in enumerate(stamps(10.0, 1.6))])
+    foremost = [max(m.tracks, key=lambda k: k.p_odom_m[0]) for m in published[9:11]]
+    assert [np.hypot(*track.velocity_mps) for track in foremost] == pytest.approx([3.0, 3.0], abs=0.6)
+
+
 def test_high_pole_is_static():
     def scan(t, height_m):
         pole = np.full((1, 8), 0.02)
@@ -363,6 +377,18 @@ def test_a_bird_in_flight_stays_one_where_nothing_shows_the_space_beneath(speed_
     published = run(new_tracker(), _parts(speed_mps, 2.0, lambda i: floats if i < 8 else person))
     (track,) = published[-1].tracks
     assert track.label is label
+
+
+@pytest.mark.parametrize(("speed_mps", "label"), [(5.0, ObstacleClass.AIRBORNE), (1.5, ObstacleClass.PERSON)])
+def test_dust_at_the_ground_whose_parts_seem_to_run_is_airborne(speed_mps, label):
+    """It has clear space beneath it in every fifth scan, and looks like a person in the others."""
+    floats = class_scores(np.array([[0.8, 0.4, 0.15]]), np.array([1.2]), np.array([True]), np.zeros(1, np.uint8))
+    person = np.full((1, 8), 0.01)
+    person[0, 1] = 0.93
+    published = run(new_tracker(), _parts(speed_mps, 1.5, lambda i: person if i % 5 else floats))
+    moving = [t for m in published for t in m.tracks if t.is_confirmed and t.velocity_mps.any()]
+    assert moving
+    assert {t.label for t in moving} == {label}
 
 
 def test_a_calf_whose_parts_alternate_is_known_to_move():
