@@ -74,7 +74,7 @@ class GnssMonitor:
         self.anchor_ns: int | None = None  # before what is suspected
         self._agreed_ns: int | None = None
         self._refused = 0
-        self._held: deque[tuple[int, float]] = deque()  # end of validity and bound, each lower than the one before
+        self._held: deque[tuple[int, float]] = deque()  # time and bound
         self._level_m = 0.0
         self.suspicion = ""
         self.detail = ""
@@ -95,16 +95,13 @@ class GnssMonitor:
 
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
-        while self._held and self._held[0][0] <= stamp_ns:
+        while self._held and self._held[0][0] <= stamp_ns - self._config.hold_s * 1e9:
             self._held.popleft()
-        held_m = self._held[0][1] if self._held else 0.0
-        return max(self._level_m, held_m)
+        return max([self._level_m, *(bound_m for _, bound_m in self._held)])
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
-        while self._held and self._held[-1][1] <= bound_m:
-            self._held.pop()
-        self._held.append((stamp_ns + round(self._config.hold_s * 1e9), bound_m))
+        self._held.append((stamp_ns, bound_m))
 
     def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.
@@ -186,6 +183,8 @@ class GnssMonitor:
         if reference is None or slip is None:
             self.suspicion = ""
             return None
+        if code != REFUSED:  # the position comes from the reference now
+            self._held = deque(h for h in self._held if h[0] <= anchor_ns)
         self.detail = f"{float(np.linalg.norm(reference.d_m)):.2f} m apart in {reference.age_s:.0f} s"
         return Finding(code, anchor_ns, reference, *slip)
 

@@ -107,6 +107,13 @@ def with_lidar(name: str, drift_mps: tuple[float, float, float], yaw_deg: float 
     return judged(case, "lidar", 2, result, truth, draw, 0.0), {f.code for f in result.faults if f.is_active}
 
 
+def test_the_level_is_that_of_the_reference_once_a_wrong_fix_is_excluded():
+    row, codes = with_lidar("wrong fix 1 m 20 s", (0.0, 0.0, 0.0))
+    assert "gnss.contradicts_velocity" in codes
+    assert row.misleading_s == [0.0] * 4
+    assert row.available[-1] > 0.95  # below 0.5 m during the fault
+
+
 def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():
     row, codes = with_lidar("spoofed ramp 0.05 m/s 30 s", (0.0, 0.0, 0.0))
     assert codes & {"gnss.contradicts_odometry", "gnss.contradicts_velocity"}
