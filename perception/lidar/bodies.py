@@ -18,7 +18,7 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Float32, Float64, Int32, UInt8
 from geometry.jit import inline_kernel, kernel
-from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid
+from perception.lidar.clusters import ClusterConfig, Clusters, find_clusters, new_cell_grid, select
 from perception.lidar.expected_points import Beams
 from perception.lidar.grid import take_rows
 
@@ -93,8 +93,9 @@ class BodySplitter:
             clusters.offsets, clusters.indices, parts.offsets, some[parts.indices], cluster[parts.indices],
             points_base_m, above_m, point_class, center_m, config.knee_m, *size, *fill, *apart, kinds,
         )  # fmt: skip
-        bodies = np.full(len(offsets) - len(clusters.offsets), BODY, np.uint8)
-        return Clusters(offsets, indices), np.concatenate([kinds, bodies])
+        kinds = np.concatenate([kinds, np.full(len(offsets) - len(clusters.offsets), BODY, np.uint8)])
+        has_rest = np.diff(offsets) > 0  # two bodies may be all of a cluster
+        return select(Clusters(offsets, indices), has_rest), kinds[has_rest]
 
 
 @kernel

@@ -58,11 +58,12 @@ class Bystanders:
     def note_close(
         self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, speed_mps: float, now_ns: int
     ) -> None:
-        """Takes all moving tracks, ahead too; one near a body, or that reaches it while the PTO runs down, stops it."""
+        """Takes all moving tracks, ahead too; one near a body, or that reaches it while the PTO runs down, stops it:
+        also who follows the machine and would reach it if it stopped."""
         times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
         for track in moving:
             is_near = self._is_settled(track) and _gap_m(place_of(track), area, pose_odom) <= self.pto_off_m
-            if is_near or self._is_coming(track, area, pose_odom, speed_mps, times_s):
+            if is_near or any(self._is_coming(track, area, pose_odom, v, times_s) for v in (speed_mps, 0.0)):
                 self._close_ns = now_ns
 
     def bars_pto(self, now_ns: int) -> bool:

@@ -7,8 +7,10 @@ from configs.strict import find, load
 from configs.vehicle import Vehicle
 from messages.perception import ObstacleClass
 from perception.fusion.tracker import Tracker
+from perception.lidar.airborne import OBSTACLE, UNUSED
 from perception.lidar.bodies import BODY, MAY_HOLD_BODY
 from perception.lidar.classes import class_scores
+from perception.lidar.clusters import Clusters
 from perception.lidar.obstacles import LidarObstacles
 from tests.perception.lidar_scenes import LIDAR_CONFIG, TRACKER_CONFIG, Feed, box, cast, odometry, person
 
@@ -90,6 +92,19 @@ def test_who_was_a_person_before_stays_one_beside_a_wall(node):
     tracks = tracks_of(node, [*wall, person(8.4, 0.4)], [*wall, person(9.0, 0.4)], [*wall, person(9.4, 0.4)])
     own = [one for one in tracks if np.hypot(*(one.p_odom_m[:2] - [9.3, 0.4])) < 0.5 and one.size_m[0] < 1.5]
     assert [one.label for one in own] == [ObstacleClass.PERSON]
+
+
+def test_a_cluster_of_bodies_alone_leaves_no_empty_one(node):
+    """Their feet are hidden by stubble: before, the box of the empty cluster was read from anywhere in memory."""
+    y, z = (a.ravel() for a in np.meshgrid(np.linspace(-0.2, 0.2, 12), np.linspace(0.7, 1.6, 12)))
+    points = np.concatenate([np.stack([np.full(144, 8.0), y + side, z], axis=1) for side in (-1.5, 0.0, 1.5)])
+    points, several = points.astype(np.float32), 100  # the splitter skips scans with few returns
+    points = np.concatenate([points, np.full((several * len(points), 3), 40.0, np.float32)])
+    point_class = np.where(np.arange(len(points)) < 432, OBSTACLE, UNUSED).astype(np.uint8)
+    joined = Clusters(np.array([0, 432], np.int32), np.arange(432, dtype=np.int32))
+    found, kinds = node._pipeline._splitter.split(joined, points, points[:, 2].copy(), point_class, np.zeros(2))
+    assert np.diff(found.offsets).tolist() == [144, 144, 144]
+    assert kinds.tolist() == [BODY, BODY, BODY]
 
 
 def test_scores_of_bodies_and_of_what_may_hold_one():
