@@ -257,6 +257,15 @@ def test_confirmation_keeps_who_is_seen(bystanders: Bystanders, area: SweptArea)
     assert not bystanders.is_near
 
 
+@pytest.mark.parametrize(("speed_mps", "is_barred"), [(3.3, True), (1.5, False)])
+def test_who_follows_the_machine_bars_the_pto_as_it_may_stop(
+    area: SweptArea, config: SupervisorConfig, speed_mps: float, is_barred: bool
+) -> None:
+    one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+    one.note_close([person(WING_X - 8.0, 0.0, vx=speed_mps)], area, HERE, 2.8, START_NS)
+    assert one.bars_pto(START_NS) == is_barred
+
+
 def test_a_body_that_moves_near_the_machine_bars_the_pto(
     bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
 ) -> None:
