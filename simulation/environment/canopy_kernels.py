@@ -17,9 +17,9 @@ MAX_STEPS = 500
 def ground_at(x: float, y: float, ground: Float32, grid: Float64) -> tuple[float, int, int]:
     """Height of the ground, bilinear, and nearest row and column; row -1 outside of the grid."""
     u, v = (x - grid[0]) / grid[2], (y - grid[1]) / grid[2]
-    j, i = int(u), int(v)
-    if u < 0.0 or v < 0.0 or j >= ground.shape[1] - 1 or i >= ground.shape[0] - 1:
+    if not (0.0 <= u < ground.shape[1] - 1 and 0.0 <= v < ground.shape[0] - 1):  # also infinite, and no number
         return 0.0, -1, -1
+    j, i = int(u), int(v)
     a, b = u - j, v - i
     low = (1.0 - a) * ground[i, j] + a * ground[i, j + 1]
     high = (1.0 - a) * ground[i + 1, j] + a * ground[i + 1, j + 1]
