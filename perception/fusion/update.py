@@ -32,6 +32,7 @@ MIN_DISTANCE_SHARE = 0.5  # of the distance at the estimated speed; below it the
 OTHER_PART_SHARE = 0.4  # of the longer box: a side that differs by more is that of another part
 OTHER_PART_M = 1.1  # least length of the longer box: below it limbs and hidden parts change the outline of one body
 STEADY_M, STEADY_TURN_M, STEADY_SHARE = 0.25, 0.8, 0.04  # change of a side, of an end; sigma over side
+OTHER_HEIGHT_SHARE = 0.6  # of the higher box: so different ones are other parts at any length, as slab and pile
 LONGEST_BODY_M = 2.5  # of a person or an animal; the visible parts of longer ones change all the time
 OTHER_PART_NS = 150_000_000  # longest time between such scans, for those at 10 Hz
 STRUCTURE_SIGMA_SHARE = 0.25  # of the position sigma of a static structure
@@ -167,19 +168,27 @@ def _is_other_part(table: TrackTable, tracks: Int64, size_m: Float64, longer_m: 
     before_m = table.size_m[tracks]
     differs = np.abs(size_m[:, :2] - before_m[:, :2]).max(axis=1, initial=0.0) > OTHER_PART_SHARE * longer_m
     is_measured = (table.sensors[tracks] & lidars != 0) & (table.has_moved[tracks] == 0)
-    return np.asarray(differs & (longer_m > OTHER_PART_M) & is_measured)
+    is_large = (longer_m > OTHER_PART_M) | _has_other_height(before_m, size_m)
+    return np.asarray(differs & is_large & is_measured)
+
+
+def _has_other_height(before_m: Float64, size_m: Float64) -> Bool:
+    """Whether the heights of boxes (K, 3) differ by more than those of the visible parts of one body."""
+    change_m = np.abs(size_m[:, 2] - before_m[:, 2])
+    return np.asarray(change_m > OTHER_HEIGHT_SHARE * np.maximum(size_m[:, 2], before_m[:, 2]))
 
 
 def _is_of_one_body(
     table: TrackTable, tracks: Int64, detections: Detections, rows: Int64, z_m: Float64, longer_m: Float64
 ) -> Bool:
     """Whether detections (K,), at z (K, 2), the longer of both lengths (K,), are of the body of their track although
-    their size is another: the same lidar saw it as long in its last scan, or the track has gone on by more than parts
-    of a body are apart."""
+    their size is another: the same lidar saw it as long in its last scan, and about as high, or the track has gone on
+    by more than parts of a body are apart."""
     length_m, recent_ns = detections.size_m[rows, 0], table.recent_ns[tracks]
     since_ns = detections.stamp_ns - OTHER_PART_NS
     in_view_m = length_in_view(recent_ns, table.recent_view[tracks], detections.sensor, since_ns)
     is_same = np.abs(length_m - in_view_m) <= OTHER_PART_SHARE * np.maximum(length_m, in_view_m)
+    is_same &= ~_has_other_height(table.size_m[tracks], detections.size_m[rows])
     has_gone = has_travelled(recent_ns, table.recent_m[tracks], detections.stamp_ns, z_m, longer_m)
     return np.asarray(is_same | has_gone)
 

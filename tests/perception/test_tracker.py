@@ -190,6 +190,15 @@ def test_occupied_trail_contradicts_motion(is_left_empty):
     assert np.hypot(*foremost.velocity_mps) == pytest.approx(3.0 if is_left_empty else 0.0, abs=0.6)
 
 
+def test_a_slab_that_is_joined_with_what_it_lies_on_does_not_move():
+    """A thing in the shed, in dust: first the edge of its top alone is seen, then all of it, 0.4 m away."""
+    slab = [message(t, [[1.2, 3.55, 0.9]], (0.6, 0.05, 0.05), yaw=0.5) for t in stamps(10.0, 1.0)]
+    later = [slab[-1].stamp_ns + (k + 1) * NS // 10 for k in range(12)]
+    whole = [message(t, [[1.32 + 0.015 * k, 3.27, 0.46]], (1.0, 0.88, 0.95)) for k, t in enumerate(later)]
+    published = run(new_tracker(), [*slab, *whole])
+    assert all(not t.velocity_mps.any() for m in published for t in m.tracks)
+
+
 def test_one_contradiction_does_not_stop_a_body_that_moved():
     """Dust behind it fills its trail in single scans."""
 
