@@ -191,11 +191,18 @@ def test_occupied_trail_contradicts_motion(is_left_empty):
 
 
 def test_a_slab_that_is_joined_with_what_it_lies_on_does_not_move():
-    """A thing in the shed, in dust: first the edge of its top alone is seen, then all of it, 0.4 m away."""
-    slab = [message(t, [[1.2, 3.55, 0.9]], (0.6, 0.05, 0.05), yaw=0.5) for t in stamps(10.0, 1.0)]
-    later = [slab[-1].stamp_ns + (k + 1) * NS // 10 for k in range(12)]
-    whole = [message(t, [[1.32 + 0.015 * k, 3.27, 0.46]], (1.0, 0.88, 0.95)) for k, t in enumerate(later)]
-    published = run(new_tracker(), [*slab, *whole])
+    """A thing in the shed, in dust (as simulated): first the edge of its top alone is seen, then all of it."""
+    edge = [(1.4, 3.6, 0.3)] * 8 + [(1.29, 3.56, 0.45), (1.25, 3.57, 0.5), (1.22, 3.55, 0.58), (1.2, 3.54, 0.63),
+                                    (1.18, 3.52, 0.68)]  # fmt: skip
+    whole = [(1.32, 3.29), (1.32, 3.23), (1.38, 3.24), (1.49, 3.21), (1.49, 3.21), (1.51, 3.24), (1.35, 3.2)]
+    times = stamps(10.0, 0.1 * (len(edge) + len(whole)))
+    scans = [
+        message(t, [[x, y, 0.92]], (long, 0.05, 0.05), yaw=0.5) for t, (x, y, long) in zip(times, edge, strict=False)
+    ]
+    scans += [
+        message(t, [[x, y, 0.46]], (1.02, 0.88, 0.95)) for t, (x, y) in zip(times[len(edge) :], whole, strict=False)
+    ]
+    published = run(new_tracker(), scans)
     assert all(not t.velocity_mps.any() for m in published for t in m.tracks)
 
 
