@@ -15,21 +15,21 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 from scipy.stats import chi2
 
-from configs.strict import CONFIGS
+from benchmarks.rows import append_row, rows_of
+from configs.strict import CONFIGS, find, read_yaml
 
 CONSENT = {"by": "benchmark false_stops", "vegetation_m": 0.35}
-START = [{"at_s": 3.0, "command": "start", "expires_s": 5.0}]
 OUTSIDE = ("grass 60 cm",)  # of the operational design domain
 MORE = {
     "crop 20 cm": {"vegetation": [{"kind": "crop", "height_m": 0.20}]},
     "fog 100 m": {"fog": {"visibility_m": 100.0}},
-    "crest": {"ground": {"crest": {"height_m": 0.5, "length_m": 8.0, "x_m": 40.0, "y_m": 25.0, "heading_deg": 90.0}}},
+    "crest": read_yaml(find("scenarios", "environments/crest"))["environment"],
     "trees and hedge": {"boundary": {"hedge_height_m": 1.5, "trees": 40}},
     "neighbour machine": {"neighbour": {}},
 }
@@ -50,7 +50,7 @@ class Row:
 
 def conditions() -> dict[str, dict[str, object]]:
     """Environments by name."""
-    named = yaml.safe_load((CONFIGS / "hazards.yaml").read_text(encoding="utf-8"))["environments"]
+    named = read_yaml(CONFIGS / "hazards.yaml")["environments"]
     return {name: value for name, value in {**named, **MORE}.items() if name not in OUTSIDE}
 
 
@@ -58,8 +58,8 @@ def drive(condition: str, environment: dict[str, object], seed: int, seconds: fl
     """One drive in a process of its own."""
     folder = out / f"{condition.replace(' ', '-')}-{seed}"
     shutil.rmtree(folder, ignore_errors=True)
-    mission = yaml.safe_load((CONFIGS / "missions/demo.yaml").read_text(encoding="utf-8")) | {"consent": CONSENT}
-    scenario = {"name": condition, "operator_commands": START} | ({"environment": environment} if environment else {})
+    mission = read_yaml(find("missions", "demo")) | {"consent": CONSENT}
+    scenario = read_yaml(find("scenarios", "empty")) | ({"environment": environment} if environment else {})
     files = {"mission": mission, "scenario": scenario}
     for name, content in files.items():
         (out / f"{folder.name}.{name}.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
@@ -106,14 +106,6 @@ def _hours(rows: list[Row]) -> float:
     return sum(r.simulated_s for r in rows) / 3600.0
 
 
-def rows_of(file: Path) -> list[Row]:
-    """Rows of earlier calls."""
-    if not file.is_file():
-        return []
-    names = {f.name for f in fields(Row)}
-    return [Row(**{k: v for k, v in json.loads(line).items() if k in names}) for line in file.read_text().splitlines()]
-
-
 def main() -> None:
     """Drives what is missing and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -126,7 +118,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "rows.jsonl"
-    rows = rows_of(file)
+    rows = rows_of(file, Row)
     done = {(r.condition, r.seed) for r in rows}
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     todo = [
@@ -139,8 +131,7 @@ def main() -> None:
             lambda one: drive(one[0], one[1], one[2], arguments.seconds, arguments.out.resolve()), todo
         ):
             rows.append(row)
-            with file.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(asdict(row)) + "\n")
+            append_row(file, row)
             print(
                 f"[{len(rows) - len(done)}/{len(todo)}] {row.condition}, seed {row.seed}: {row.stops or 'no stop'}",
                 flush=True,

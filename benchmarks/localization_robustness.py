@@ -10,16 +10,16 @@ Drives are those of tests/localization, with true errors drawn around the config
 """
 
 import argparse
-import json
 import math
 import re
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.localization_faults import CASES, Case, Draw, edited, lidar_motions
+from benchmarks.rows import append_row, rows_of
 from tests.localization.harness import Run, run
 from tests.localization.synthetic_drive import START_NS, SensorErrors, Truth, drive
 
@@ -184,14 +184,6 @@ def _percent(shares: list[float]) -> str:
     return f"{100.0 * np.mean(known):.0f}" if known else "—"
 
 
-def rows_of(file: Path) -> list[Row]:
-    """Rows of earlier calls."""
-    if not file.is_file():
-        return []
-    names = {f.name for f in fields(Row)}
-    return [Row(**{k: v for k, v in json.loads(line).items() if k in names}) for line in file.read_text().splitlines()]
-
-
 def main() -> None:
     """Runs what is missing and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -204,15 +196,14 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "rows.jsonl"
-    rows = rows_of(file)
+    rows = rows_of(file, Row)
     done = {(r.case, r.sensors, r.seed) for r in rows}
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
         for case in CASES:
             for sensors in arguments.sets:
                 if arguments.only.search(case.name) and (case.name, sensors, seed) not in done:
                     rows.append(measured(case, sensors, seed, arguments.seconds))
-                    with file.open("a", encoding="utf-8") as lines:
-                        lines.write(json.dumps(asdict(rows[-1])) + "\n")
+                    append_row(file, rows[-1])
     print(table(rows))
 
 

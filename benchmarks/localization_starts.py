@@ -8,17 +8,17 @@ position and a fault says why; else wrong. Rows are appended to FOLDER/rows.json
 """
 
 import argparse
-import json
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.localization_faults import FLOAT, Case, Draw, edited, worse
 from benchmarks.localization_robustness import sensor_errors
+from benchmarks.rows import append_row, rows_of
 from configs.site import PoseConfig, Shed
 from configs.vehicle import Mount
 from geometry.angles import wrap
@@ -225,14 +225,13 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "rows.jsonl"
-    rows = [Start(**json.loads(line)) for line in file.read_text().splitlines()] if file.is_file() else []
+    rows = rows_of(file, Start)
     done = {(r.case, r.seed) for r in rows}
     for case in arguments.only:
         for seed in range(arguments.first_seed, arguments.first_seed + arguments.starts):
             if (case, seed) not in done:
                 rows.append(judged(case, seed, *CASES[case](seed)))
-                with file.open("a", encoding="utf-8") as lines:
-                    lines.write(json.dumps(asdict(rows[-1])) + "\n")
+                append_row(file, rows[-1])
     print(table(rows))
 
 

@@ -59,7 +59,6 @@ class Finding:
     """What begins a suspicion: separation from the reference since the anchor, and slip (4,) with sigmas there."""
 
     code: str
-    anchor_ns: int
     separation: Separation
     slip: Float64
     slip_sigma: Float64
@@ -95,12 +94,13 @@ class GnssMonitor:
 
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
-        while self._held and self._held[0][0] <= stamp_ns - self._config.hold_s * 1e9:
-            self._held.popleft()
-        return max([self._level_m, *(bound_m for _, bound_m in self._held)])
+        since_ns = stamp_ns - self._config.hold_s * 1e9
+        return max([self._level_m, *(bound_m for held_ns, bound_m in self._held if held_ns > since_ns)])
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
+        while self._held and self._held[0][0] <= stamp_ns - self._config.hold_s * 1e9:
+            self._held.popleft()
         self._held.append((stamp_ns, bound_m))
 
     def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
@@ -186,7 +186,7 @@ class GnssMonitor:
         if code != REFUSED:  # the position comes from the reference now
             self._held = deque(h for h in self._held if h[0] <= anchor_ns)
         self.detail = f"{float(np.linalg.norm(reference.d_m)):.2f} m apart in {reference.age_s:.0f} s"
-        return Finding(code, anchor_ns, reference, *slip)
+        return Finding(code, reference, *slip)
 
     def _reference(self) -> Separation | None:
         """Separation since the anchor from the best reference that the suspicion leaves."""

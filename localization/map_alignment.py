@@ -303,7 +303,7 @@ class MapAlignment:
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
         self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
-        if finding is not None and self._accepted_ns > finding.anchor_ns:
+        if finding is not None and self._undisputed_ns < self._accepted_ns:
             reference_m = base_m[:2] - finding.separation.d_m
             self._restart(excluded(state, T_base_body, reference_m, finding))
 

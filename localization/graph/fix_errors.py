@@ -54,4 +54,4 @@ class FixErrors:
     def read(self, key: int, smoother: Smoother) -> None:
         """Takes the solution, from which the next keyframe begins."""
         if self.guess is not None:
-            self.guess = smoother.fix_error(key)
+            self.guess = smoother.value(E(key))

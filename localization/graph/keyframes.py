@@ -108,8 +108,8 @@ class KeyframeBuilder:
         self.columns: Float64 | None = None
         self.late_rad, self.is_slipping, self.headings_refused = 0.0, False, 0
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
-        self._turned: tuple[int, int] | None = None  # the same of the newest angle of lidar odometry
-        self._course: Course | None = None  # of motions that wait
+        self._course_at: tuple[int, int] | None = None  # the same of the newest angle of lidar odometry
+        self._waiting_course: Course | None = None  # of motions that wait
         self._fix_errors = FixErrors(gnss.estimated_white_share)
 
     def separation(self, config: SeparationConfig) -> OdometrySeparation:
@@ -161,7 +161,7 @@ class KeyframeBuilder:
     def restart(self, state: State) -> State:
         """Restarts the graph at a known state."""
         self._pending_factors.clear()
-        self._calibrated, self._turned, self._course, self.headings_refused = None, None, None, 0
+        self._calibrated, self._course_at, self._waiting_course, self.headings_refused = None, None, None, 0
         self._fix_errors.clear()
         self.smoother.start(state)
         return state
@@ -173,7 +173,7 @@ class KeyframeBuilder:
         """
         key, T_base_body = self.smoother.next_key, self.lever_arms.T_base_body
         self._pending_factors.append(relative_pose_factor(start, end, key, T_base, T_base_body, covariance))
-        self._course = course
+        self._waiting_course = course
 
     def add(
         self, stamp_ns: int, track: ImuTrack, wheels: WheelTrack, positions: list[Position],
@@ -194,8 +194,8 @@ class KeyframeBuilder:
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
         factors, self._pending_factors = self._pending_factors, []
         variables: dict[int, Float64] = {}
-        if self._course is not None:
-            course_rad, factor = self._course_factor(key, stamp_ns, self._course)
+        if self._waiting_course is not None:
+            course_rad, factor = self._course_factor(key, stamp_ns, self._waiting_course)
             variables[M(key)] = np.array([course_rad])
             factors.append(factor)
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
@@ -216,7 +216,7 @@ class KeyframeBuilder:
         self.smoother.add(guess, imu_factor, math.sqrt(dt_s) * self._wheels.walk, factors, variables)
         self._fix_errors.read(key, self.smoother)
         if M(key) in variables:
-            self._turned, self._course = (key, stamp_ns), None
+            self._course_at, self._waiting_course = (key, stamp_ns), None
         if C(key) in variables and self.range_gate is not None:
             self.range_gate.calibration, self.range_gate.calibration_covariance = self.smoother.calibration(key)
             self._calibrated = key, stamp_ns
@@ -224,12 +224,13 @@ class KeyframeBuilder:
 
     def _course_factor(self, key: int, stamp_ns: int, course: Course) -> tuple[float, gtsam.NonlinearFactor]:
         """First value of the angle of lidar odometry, and its factor to the one before or its prior."""
-        before, sigma = self._turned, gtsam.noiseModel.Isotropic.Sigma
+        before, sigma = self._course_at, gtsam.noiseModel.Isotropic.Sigma
         if before is None or not self.smoother.is_within_lag(before[0]):
             prior = sigma(1, math.sqrt(course.variance))
             return course.angle_rad, gtsam.PriorFactorVector(M(key), np.array([course.angle_rad]), prior)
         walk = sigma(1, math.sqrt(course.walk * (stamp_ns - before[1]) * 1e-9))
-        return self.smoother.course_rad(before[0]), gtsam.BetweenFactorVector(M(before[0]), M(key), np.zeros(1), walk)
+        factor = gtsam.BetweenFactorVector(M(before[0]), M(key), np.zeros(1), walk)
+        return float(self.smoother.value(M(before[0]))[0]), factor
 
     def _pose_factors(
         self, key: int, guess: State, pose_measurements: Sequence[PoseMeasurement]

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from configs.strict import Config
 from geometry.arrays import Float64
-from localization.graph.factors import B, C, E, M, S, V, X
+from localization.graph.factors import B, C, S, V, X
 from localization.graph.imu_preintegration import constant_bias
 
 POSE, VELOCITY, BIAS, SLIP = 6, 3, 6, 4
@@ -142,13 +142,9 @@ class Smoother:
         self._index, self.state = k, state
         return state
 
-    def fix_error(self, key: int) -> Float64:
-        """Error (3,) of the fixes at a keyframe added with one."""
-        return np.asarray(self._graph.calculateEstimateVector(E(key)))
-
-    def course_rad(self, key: int) -> float:
-        """Angle of lidar odometry against the positions at a keyframe added with one."""
-        return float(self._graph.calculateEstimateVector(M(key))[0])
+    def value(self, variable: int) -> Float64:
+        """Solution of one of the `variables` with which a keyframe was added."""
+        return np.asarray(self._graph.calculateEstimateVector(variable))
 
     def _check_jump(self, guess: State, state: State) -> None:
         """Raises ValueError for a solution far from what was expected: the solver has lost its way."""

@@ -1,14 +1,14 @@
 """Judgement and rows of the benchmark of robustness."""
 
-import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks.localization_faults import CASES, Draw, edited, lidar_motions
-from benchmarks.localization_robustness import judged, measured, rows_of, table
+from benchmarks.localization_robustness import Row, judged, measured, table
+from benchmarks.rows import append_row, rows_of
 from geometry.transforms import invert
 from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssFix
@@ -65,7 +65,7 @@ def test_rows_are_read_again(tmp_path):
     assert row.misleading_s == [0.0] * 4
     assert row.false_alarms == 0
     file = tmp_path / "rows.jsonl"
-    file.write_text(json.dumps(asdict(row)) + "\n")
-    (again,) = rows_of(file)
+    append_row(file, row)
+    (again,) = rows_of(file, Row)
     assert table([again]) == table([row])
     assert table([replace(row, max_error_m=9.0)]) != table([row])
