@@ -91,11 +91,14 @@ class ModeMachine:
     def _is_blocked(self, situation: Situation, decision: Decision) -> bool:
         """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path.
 
-        One that was lost from view in the path prevents a start as well.
+        One that was lost from view in the path prevents a start as well. Before a person or animal that stands in the
+        path, a machine at rest waits until it may resume, instead of creeping up.
         """
         if decision.is_obstacle_inside or (self.mode is Mode.START_WARNING and situation.is_departure_unresolved):
             return True
-        if decision.passable_mps >= self._config.creep_mps or situation.is_moving:
+        is_body_in_path = situation.standing_body.gap_m == 0.0
+        least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps
+        if decision.passable_mps >= least_mps or situation.is_moving:
             return False
         control_command = situation.inputs.control_command
         return self.mode is Mode.START_WARNING or (control_command is not None and control_command.speed_mps != 0.0)

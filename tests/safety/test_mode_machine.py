@@ -10,6 +10,7 @@ import pytest
 from configs.vehicle import kmh
 from messages.command import Mode, OperatorCommand, OperatorCommandKind
 from messages.faults import Fault, Response, Severity
+from messages.perception import ObstacleClass
 from messages.plan import MissionState, MissionStatus, PathSectionType
 from safety.mode_machine import ModeMachine, filter_permitted
 from safety.modes import Event
@@ -20,6 +21,7 @@ from safety.rules.situation import Situation
 from safety.stopping_distance import required_range
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.protective_field import Clearance
+from safety.zones.standing_bodies import StandingBody
 from tests.clause import clause
 from tests.safety.safety_world import START_NS, around, machine_state, situation_of
 
@@ -217,6 +219,17 @@ def test_creep_and_resume_speed_at_their_limits(bench: Bench) -> None:
     assert show(0.02, 0.09) is Mode.OBSTACLE_STOP
     show(0.02, kmh(1.8))
     assert show(2.5, kmh(1.8)) is Mode.START_WARNING
+
+
+@clause("BD-5.2.4")
+def test_no_creeping_up_to_a_body_that_stands_in_the_path(config: SupervisorConfig) -> None:
+    distance = required_range(0.3, config.braking.flat, 2.1)
+    for gap_m, mode in ((0.0, Mode.OBSTACLE_STOP), (0.1, Mode.AUTOMATIC)):
+        body = StandingBody(0.83, gap_m, ObstacleClass.ANIMAL)
+        bench = Bench(config).driving()
+        assert bench.show(**near(distance), speed_mps=0.2, standing_body=body) is Mode.AUTOMATIC
+        assert bench.show(**STANDING, **near(distance), standing_body=body) is mode
+        assert bench.show(after_s=2.5, **STANDING, **near(distance), standing_body=body) is mode  # until it may resume
 
 
 ASKED = frozenset({Event.RESET, Event.START, Event.PAUSE})
