@@ -27,7 +27,7 @@ from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.zones.bystanders import Bystanders
-from safety.zones.departure import Departure, is_near
+from safety.zones.departure import NOWHERE, Departure, is_near
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
@@ -249,18 +249,23 @@ class CollisionMonitor:
         is_known = self._known_structure_filter(pose_odom, pose_map, sigma_m)
         self._clearance = self.sources.clearance(swept_field, pose_odom, speed_mps, is_known, inputs.tracks)
         self._follow_departure(swept_field, pose_odom, is_known, odom.stamp_ns)
+        is_standing = speed_mps <= self._config.modes.standstill_mps
         predicted_s = horizon_s(stopping_time(speed_mps, braking), self._config.tracked)
         near = tracks_near(swept_field.main, inputs.tracks, pose_odom, predicted_s, self._config.tracked, is_known)
         if self._geofence is not None and pose_map is not None:
             posts_odom_m = to_frame(pose_odom, from_frame(pose_map, self._geofence.posts))
             near = without_posts(near, posts_odom_m, self._config.tracked)
         is_inside = self._inside_filter(pose_odom, pose_map)
+        at_rest = self._hits_in_field(is_inside) if is_standing and not self.is_docking else NOWHERE
+        self.bystanders.note_returns(at_rest, swept_field.main, pose_odom, odom.stamp_ns)
         is_among_plants = self.sources.vegetation_m > 0.0
         self.standing_bodies.update(
             near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, is_among_plants
         )
         self._critical_object = min(
-            self._nearest_object(near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, predicted_s),
+            self._nearest_object(
+                near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, braking, predicted_s, is_standing
+            ),
             self.standing_bodies.hidden, key=lambda one: one.clearance_m,
         )  # fmt: skip
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
@@ -268,7 +273,7 @@ class CollisionMonitor:
 
     def _nearest_object(
         self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, area: SweptArea,
-        pose_odom: Float64, speed_mps: float, predicted_s: float,
+        pose_odom: Float64, speed_mps: float, braking: Braking, predicted_s: float, is_standing: bool,
     ) -> CriticalObject:  # fmt: skip
         """Critical object of all tracks: a bystander who comes towards the machine, else the nearest one ahead."""
         tracked = self._config.tracked
@@ -281,7 +286,8 @@ class CollisionMonitor:
         beside = [track for track in (*moving, *broad) if track.id not in ids]
         self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
         in_front = [track for track in moving if track.id in ids]
-        self.bystanders.update(beside, in_front, tracks, area, pose_odom, speed_mps, predicted_s)
+        around = [track for track, _ in near] if is_standing else []
+        self.bystanders.update(beside, in_front, around, tracks, area, pose_odom, speed_mps, braking, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(
@@ -294,6 +300,11 @@ class CollisionMonitor:
         if is_known is not None and len(hits):
             hits = hits[~is_known(hits)]
         self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom, now_ns)
+
+    def _hits_in_field(self, is_inside: Callable[[Float64], np.ndarray] | None) -> Float64:
+        """Confirmed returns (N, 2) inside the geofence, where it is known: fence and hedge stand beside it."""
+        hits = thin(self.sources.lidar_hits_odom_m, THIN_M)
+        return hits if is_inside is None or not len(hits) else hits[is_inside(hits)]
 
     def _inside_filter(
         self, pose_odom: Float64, pose_map: Float64 | None

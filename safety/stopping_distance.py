@@ -3,6 +3,10 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from geometry.arrays import Float64
+
 GRAVITY_MPS2 = 9.80665
 BISECTIONS = 40
 
@@ -47,6 +51,14 @@ def stopping_time(speed_mps: float, braking: Braking) -> float:
         return math.inf
     braked_s = 0.5 * t_b + v / a if v >= 0.5 * a * t_b else math.sqrt(2.0 * v * t_b / a)
     return braking.reaction_s + braked_s
+
+
+def braking_travel_m(speed_mps: float, braking: Braking, times_s: Float64) -> Float64:
+    """Travel after each time (N,), (N,), of a machine that brakes from now on; half of the build-up is dead time."""
+    a, dead_s = braking.deceleration_mps2, braking.reaction_s + 0.5 * braking.build_up_s
+    braked_s = np.clip(times_s - dead_s, 0.0, speed_mps / a if a > 0.0 else 0.0)
+    driven_s = np.minimum(times_s, dead_s) + braked_s if a > 0.0 else times_s
+    return np.asarray(speed_mps * driven_s - 0.5 * a * braked_s**2)
 
 
 def required_range(speed_mps: float, braking: Braking, allowance_m: float, obstacle_mps: float = 0.0) -> float:

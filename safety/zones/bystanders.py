@@ -4,7 +4,9 @@ The swept area begins at the leading edges. Somebody who walks into a wing from 
 machine that drives on, and by one that sets off beside them. A bystander stops the machine before the contact, and it
 stays at standstill until they were seen at a distance, or an operator has confirmed that nobody is there. A person or
 animal who came from ahead, where the swept area stops the machine, keeps it standing too: it may drive off in the other
-direction. Any body that moves near the machine stops the PTO, which runs down more slowly than the machine stops.
+direction. A machine at rest also waits for who came nearer by place, though no velocity shows it, as of a body that
+enters a blind zone or comes in changing parts, and for what is right at machine or implement. Any body that moves near
+the machine stops the PTO, which runs down more slowly than the machine stops.
 """
 
 import math
@@ -17,8 +19,12 @@ from geometry.arrays import Float64
 from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
+from safety.stopping_distance import Braking, braking_travel_m, stopping_time
 from safety.zones.swept_area import SweptArea
 from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
+
+FOLLOWING_SLOPE = 2.0  # velocity along the machine over that across it
+MARGIN_S = 0.5  # for which the machine stands before who follows it arrives
 
 
 @dataclass(frozen=True)
@@ -47,13 +53,20 @@ class Bystanders:
         self._pto_stop_s = pto_stop_s
         self._places: dict[int, Place] = {}
         self._coming_since_ns: dict[int, int] = {}
+        self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
+        self._at_machine_ns: tuple[int, int] | None = None  # first and last time
         self.coming: CriticalObject | None = None
         self._close_ns: int | None = None
 
     @property
     def is_near(self) -> bool:
-        """Whether a bystander has not been seen leaving."""
-        return bool(self._places)
+        """Whether a bystander has not been seen leaving, or something is right at the standing machine."""
+        return bool(self._places) or self._is_at_machine
+
+    @property
+    def _is_at_machine(self) -> bool:
+        span_ns = self._at_machine_ns
+        return span_ns is not None and span_ns[1] - span_ns[0] >= self._config.at_machine_s * 1e9
 
     def note_close(
         self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, speed_mps: float, now_ns: int
@@ -63,8 +76,20 @@ class Bystanders:
         times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
         for track in moving:
             is_near = self._is_settled(track) and _gap_m(place_of(track), area, pose_odom) <= self.pto_off_m
-            if is_near or any(self._is_coming(track, area, pose_odom, v, times_s) for v in (speed_mps, 0.0)):
+            if is_near or any(self._is_coming(track, area, pose_odom, times_s, v * times_s) for v in (speed_mps, 0.0)):
                 self._close_ns = now_ns
+
+    def note_returns(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
+        """Takes the confirmed returns (N, 2) about a machine at rest, none while it moves: some right at machine or
+        implement, for a time, keep it standing and its PTO off."""
+        gaps_m = distance_to_bodies_m(from_frame(pose_odom, hits_odom_m), area, np.zeros(len(hits_odom_m)))
+        last = self._at_machine_ns
+        if (gaps_m <= self._config.at_machine_m).any():
+            self._at_machine_ns = (now_ns if last is None else last[0], now_ns)
+        elif last is not None and now_ns - last[1] > self._config.at_machine_s * 1e9:
+            self._at_machine_ns = None
+        if self._is_at_machine:
+            self._close_ns = now_ns
 
     def bars_pto(self, now_ns: int) -> bool:
         """Whether a body moves near machine or implement, or did a moment ago."""
@@ -75,18 +100,25 @@ class Bystanders:
         self._places = {number: place for number, place in self._places.items() if place.is_seen}
 
     def update(
-        self, beside: Iterable[Track], ahead: Iterable[Track], tracks: Tracks | None, area: SweptArea,
-        pose_odom: Float64, speed_mps: float, predicted_s: float,
+        self, beside: Iterable[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
+        area: SweptArea, pose_odom: Float64, speed_mps: float, braking: Braking, predicted_s: float,
     ) -> None:  # fmt: skip
-        """Takes the moving tracks beside and ahead, and all, for base at `pose_odom` (3,) in odom with a speed along
-        the area. Who comes from ahead is no reason to stop here, the path is checked for them, but one to stay.
+        """Takes the moving tracks beside and ahead, those `near` a machine at rest, and all, for base at `pose_odom`
+        (3,) in odom with a speed along the area. Who comes from ahead is no reason to stop here, the path is checked
+        for them, but one to stay. Who follows the machine reaches it also when it brakes: it has to stand before.
         """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
-        found = [track for track in beside if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        stop_s = np.linspace(0.0, min(predicted_s, stopping_time(speed_mps, braking) + MARGIN_S), self._tracked.steps)
+        on, stopping = (times_s, speed_mps * times_s), (stop_s, braking_travel_m(speed_mps, braking, stop_s))
+        found = [
+            track for track in beside
+            if self._is_coming(track, area, pose_odom, *on)
+            or (_follows(track, area, pose_odom) and self._is_coming(track, area, pose_odom, *stopping))
+        ]  # fmt: skip
         sides = {track.id for track in found}
         found += [
             track for track in ahead
-            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, 0.0, times_s)
+            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, times_s, np.zeros_like(times_s))
         ]  # fmt: skip
         lasting = self._lasting(found, 0 if tracks is None else tracks.stamp_ns)
         coming = [track for track in lasting if track.id in sides]
@@ -97,17 +129,30 @@ class Bystanders:
             number: place
             for number, place in followed.items()
             if _gap_m(place, area, pose_odom) <= (self._config.away_m if place.is_seen else self._config.lost_m)
-        } | {track.id: place_of(track) for track in lasting}
+        } | {track.id: place_of(track) for track in (*lasting, *self._arrived(near, area, pose_odom))}
 
-    def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
-        """Whether a moving track gets nearer to the bodies, as they move on, and can meet one of them.
+    def _arrived(self, near: Iterable[Track], area: SweptArea, pose_odom: Float64) -> list[Track]:
+        """Those that have come nearer to the machine at rest since they were first seen there."""
+        config = self._config
+        bodies = [track for track in near if float(np.max(track.size_m[:2])) <= self._tracked.max_unclassified_length_m]
+        gaps_m = {track.id: _gap_m(place_of(track), area, pose_odom) for track in bodies}
+        self._first_gaps_m = {number: self._first_gaps_m.get(number, gap_m) for number, gap_m in gaps_m.items()}
+        return [
+            track for track in bodies
+            if gaps_m[track.id] <= min(config.away_m, self._first_gaps_m[track.id] - config.arrived_m)
+        ]  # fmt: skip
+
+    def _is_coming(
+        self, track: Track, area: SweptArea, pose_odom: Float64, times_s: Float64, travel_m: Float64
+    ) -> bool:
+        """Whether a moving track gets nearer to the bodies, which travel (N,) in the times (N,), and can meet one.
 
         It comes nearer at its velocity; to meet them it may also change that.
         """
         if not self._is_settled(track):
             return False
         centers, reach_m = predicted(track, times_s, self._tracked)
-        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
+        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, travel_m) - reach_m
         is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
         is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
@@ -172,6 +217,12 @@ def _in_frames(points: Float64, poses: Float64) -> tuple[Float64, Float64]:
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
     return c * dx + s * dy, c * dy - s * dx
+
+
+def _follows(track: Track, area: SweptArea, pose_odom: Float64) -> bool:
+    """Whether a track moves the way that the machine does, and does not cross it."""
+    along, across = from_frame(np.array([0.0, 0.0, pose_odom[2]]), track.velocity_mps[None, :2])[0]
+    return bool(area.direction * along >= FOLLOWING_SLOPE * abs(across) and along != 0.0)
 
 
 def _gap_m(place: Place, area: SweptArea, pose_odom: Float64) -> float:

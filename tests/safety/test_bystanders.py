@@ -10,6 +10,7 @@ from configs.vehicle import MountedImplement, Vehicle
 from geometry.arrays import Float64
 from messages.command import Mode, OperatorCommandKind
 from messages.perception import ObstacleClass, Track, Tracks
+from safety.stopping_distance import Braking
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.bystanders import Bystanders, distance_to_bodies_m, nearest_track, place_of
 from safety.zones.footprint import footprint_of
@@ -21,6 +22,7 @@ from tests.safety.safety_world import START_NS, WAGON, World, around
 HERE = np.zeros(3)
 WING_X, WING_Y = -1.7, 3.05  # on the left wing of the harrow, 6.1 m wide
 PTO_STOP_S = 2.4
+FLAT = Braking(0.6, 0.4, 2.5)
 
 
 def person(
@@ -63,7 +65,8 @@ def take(
     stamp_ns: int = START_NS,
 ) -> None:  # fmt: skip
     moving = [track for track in tracks if track.velocity_mps.any()]
-    bystanders.update(moving, (), Tracks(stamp_ns, tracks), area, pose, speed_mps, 2.0)
+    near = tracks if speed_mps == 0.0 else ()
+    bystanders.update(moving, (), near, Tracks(stamp_ns, tracks), area, pose, speed_mps, FLAT, 2.0)
 
 
 @pytest.mark.parametrize("label", [ObstacleClass.UNKNOWN, ObstacleClass.PERSON])
@@ -181,13 +184,13 @@ def test_who_came_to_the_machine_from_ahead_keeps_it_standing(
         one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
         for at_s in (0.0, 0.4):
             rider = person(7.0 - speed_mps * at_s, 0.0, vx=-speed_mps, label=label)
-            one.update((), [rider], Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, 2.0)
+            one.update((), [rider], (), Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, FLAT, 2.0)
             assert one.coming is None
         stands = person(front_m + 0.5, 0.0)
-        one.update((), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, 2.0)
+        one.update((), (), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, FLAT, 2.0)
         is_near = one.is_near
         left = person(front_m + config.bystanders.away_m + 0.3, 0.0)
-        one.update((), (), Tracks(START_NS, (left,)), area, HERE, 0.0, 2.0)
+        one.update((), (), (), Tracks(START_NS, (left,)), area, HERE, 0.0, FLAT, 2.0)
         assert not one.is_near
         return is_near
 
@@ -216,7 +219,7 @@ def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config
     for _ in range(50):
         see(bystanders, area, somebody_else)
         assert bystanders.is_near
-    bystanders.update((), (), None, area, HERE, 0.0, 2.0)
+    bystanders.update((), (), (), None, area, HERE, 0.0, FLAT, 2.0)
     assert bystanders.is_near
     edge = 4.0 - 0.2 - WING_Y  # gap of the nearest side of the box
     for gap_m, is_near in ((-0.01, True), (0.01, False)):  # the machine has moved on to the right
@@ -375,3 +378,53 @@ def test_the_edge_of_a_wall_does_not_come(
     bystanders: Bystanders, area: SweptArea, size: tuple[float, float, float], label: ObstacleClass, comes: bool
 ) -> None:
     assert see(bystanders, area, person(WING_X, 5.0, vy=-1.5, label=label, size=size)) == comes
+
+
+@clause("BD-5.2.4")
+def test_who_arrives_by_place_alone_keeps_a_machine_at_rest(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    behind = (
+        WING_X - 0.7 - config.bystanders.away_m
+    )  # a child who runs into the blind zone, of unknown velocity and class
+    for at_s, x, is_near in ((0.0, behind, False), (0.1, behind + 0.5, False), (0.2, behind + 0.7, True)):
+        child = person(x, 0.0, label=ObstacleClass.UNKNOWN, age_s=at_s, size=(0.1, 0.1, 0.1))
+        take(bystanders, area, child, stamp_ns=START_NS + round(at_s * 1e9))
+        assert (bystanders.is_near, bystanders.coming) == (is_near, None)
+    take(bystanders, area, stamp_ns=START_NS + 10**9)
+    bystanders.forget_unseen()
+    assert not bystanders.is_near
+    for x in (behind, behind + 0.7):  # while the machine moves its own motion brings it nearer
+        take(bystanders, area, replace(child, p_odom_m=np.array([x, 0.0, 0.5])), speed_mps=1.0)
+    assert not bystanders.is_near
+
+
+@clause("BD-5.2.4")
+def test_what_is_right_at_a_machine_at_rest_keeps_it(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    rear_m, least_ns = -2.4, round(config.bystanders.at_machine_s * 1e9)
+    for gap_m, is_near in (
+        (config.bystanders.at_machine_m + 0.01, False),
+        (config.bystanders.at_machine_m - 0.01, True),
+    ):
+        dog = np.array([(rear_m - gap_m, 0.0)])
+        for after_ns in (0, least_ns - 1):
+            bystanders.note_returns(dog, area, HERE, START_NS + after_ns)
+            assert not bystanders.is_near
+        bystanders.note_returns(dog, area, HERE, START_NS + least_ns)
+        assert (bystanders.is_near, bystanders.bars_pto(START_NS + least_ns)) == (is_near, is_near)
+    nothing = np.empty((0, 2))
+    for after_ns, is_near in ((2 * least_ns, True), (2 * least_ns + 1, False)):  # one scan may miss it
+        bystanders.note_returns(nothing, area, HERE, START_NS + after_ns)
+        assert bystanders.is_near == is_near
+
+
+@clause("BD-5.2.4")
+def test_who_follows_reaches_a_machine_that_brakes(bystanders: Bystanders, area: SweptArea) -> None:
+    def quad(gap_m: float, v_mps: float) -> Track:
+        return person(-2.4 - gap_m - 0.2, 0.0, vx=v_mps, label=ObstacleClass.VEHICLE, size=(0.4, 1.0, 1.2))
+
+    for gap_m, v_mps, comes in ((3.5, 3.4, True), (6.5, 3.4, False), (2.5, 1.6, False)):
+        assert see(Bystanders(bystanders._config, bystanders._tracked, PTO_STOP_S), area, quad(gap_m, v_mps),
+                   speed_mps=1.5) == comes, (gap_m, v_mps)  # fmt: skip

@@ -129,6 +129,7 @@ def make(
         collision_monitor.standing_bodies = SimpleNamespace(
             update=Spy(None), hidden=NO_CRITICAL_OBJECT, forget_hidden=Spy(None)
         )
+        collision_monitor.bystanders.note_returns = Spy(None)
         return collision_monitor
 
     return made
@@ -309,17 +310,25 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     collision_monitor = make()
     parts.tracks_near.answer = [(ahead, True), (beside, True), (stands, False)]
     coming = CriticalObject(0.0, ObstacleClass.PERSON, 2)
-    collision_monitor.bystanders = SimpleNamespace(update=Spy(None), note_close=Spy(None), coming=coming)
+    collision_monitor.bystanders = SimpleNamespace(
+        update=Spy(None), note_close=Spy(None), note_returns=Spy(None), coming=coming
+    )
     look(collision_monitor, config)
     moving, area, _, _, _ = collision_monitor.bystanders.note_close.asked
     assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
-    moving, approaching, tracks, area, _, speed_mps, predicted_s = collision_monitor.bystanders.update.asked
-    assert (moving, approaching) == ([beside], [ahead])
+    moving, approaching, near, tracks, area, _, speed_mps, braking, predicted_s = (
+        collision_monitor.bystanders.update.asked
+    )
+    assert (moving, approaching, near, braking) == ([beside], [ahead], [], config.braking.flat)
+    (returns, *_), hits = collision_monitor.bystanders.note_returns.asked, collision_monitor.sources.lidar_hits_odom_m
+    assert len(returns) == 0
     assert (tracks, area) == (SEEN.tracks, collision_monitor.swept_field.main)
     assert (speed_mps, predicted_s) == (2.0, parts.tracks_near.asked[3])
     assert collision_monitor.critical_object() == coming
     collision_monitor.bystanders.coming = None
-    look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())))
+    look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())), speed_mps=0.0)
+    assert collision_monitor.bystanders.update.asked[2] == [ahead, beside, stands]  # at rest
+    assert collision_monitor.bystanders.note_returns.asked[0].tolist() == hits.tolist()
     assert collision_monitor.critical_object().id == 4
     assert parts.nearest_critical_object.asked[1] == [(ahead, True)]
 
