@@ -165,12 +165,18 @@ def without_posts(
 ) -> list[tuple[Track, bool]]:
     """Tracks, each with whether it moves, less the static slim ones at surveyed posts (P, 2) in odom.
 
-    A gate post has the size of a person. The raw field covers post and person; one who walks away moves.
+    A gate post has the size of a person, and with a piece of the fence beside it for some scans a box that reaches into
+    the gate. The raw field covers post and person; one who walks away moves.
     """
 
     def is_post(track: Track) -> bool:
-        gaps_m = np.hypot(*(posts_odom_m - track.p_odom_m[:2]).T)
-        return length_m(track) <= config.max_post_width_m and bool((gaps_m <= config.post_tolerance_m).any())
+        is_broad = float(np.min(track.size_m[:2])) > config.max_post_width_m
+        if is_broad or length_m(track) > config.max_unclassified_length_m:
+            return False
+        apart_m = np.abs(from_frame(np.append(track.p_odom_m[:2], track.yaw_rad), posts_odom_m))
+        reach_m = 0.5 * track.size_m[:2] if length_m(track) > config.max_post_width_m else np.zeros(2)
+        gaps_m = np.hypot(*np.maximum(apart_m - reach_m, 0.0).T)
+        return bool((gaps_m <= config.post_tolerance_m).any())
 
     return [(track, moves) for track, moves in near if moves or not is_post(track)]
 

@@ -142,9 +142,13 @@ def test_known_structure_by_position() -> None:
 def test_gate_posts(config: SafetyConfig) -> None:
     posts = np.array([[0.0, 0.0], [8.0, 0.0]])
     at = [track(8.0, y, id=number) for number, y in enumerate((0.29, 0.31))]
-    wide = track(0.0, 0.0, size=(0.61, 0.4, 1.7), id=2)
-    for moves, kept in ((False, [1, 2]), (True, [0, 1, 2])):
-        near = [(one, moves) for one in (*at, wide)]
+    wide = track(0.0, 0.0, size=(0.61, 0.61, 1.7), id=2)
+    joined, beside, long = (  # with a piece of fence along y
+        replace(track(8.0, y, size=(size, 0.4, 1.5), id=number), yaw_rad=math.pi / 2)
+        for number, (y, size) in enumerate(((-1.1, 1.7), (-1.2, 1.7), (0.0, 2.1)), start=3)
+    )
+    for moves, kept in ((False, [1, 2, 4, 5]), (True, [0, 1, 2, 3, 4, 5])):
+        near = [(one, moves) for one in (*at, wide, joined, beside, long)]
         assert [one.id for one, _ in without_posts(near, posts, config.tracked)] == kept
         assert without_posts(near, posts[:0], config.tracked) == near
     unknown = track(math.nan, 0.0)
