@@ -226,6 +226,7 @@ class TrackedConfig(Config):
     self_filter_m: Metres = Field(description="a track this near to machine or implement is the machine itself")
     post_tolerance_m: Metres = Field(description="a static track this near to a surveyed gate post is the post")
     max_post_width_m: Metres = Field(description="unless its longest side is longer")
+    joined_post_s: Seconds = Field(description="age from which the motion of a longer track at a post counts")
     min_horizon_s: Seconds
     max_horizon_s: Seconds
     steps: int = Field(ge=2, le=50)

@@ -166,7 +166,7 @@ def without_posts(
     """Tracks, each with whether it moves, less the static slim ones at surveyed posts (P, 2) in odom.
 
     A gate post has the size of a person, and with a piece of the fence beside it for some scans a box that reaches into
-    the gate. The raw field covers post and person; one who walks away moves.
+    the gate and grows, so that it seems to move. The raw field covers post and person; one who walks away moves.
     """
 
     def is_post(track: Track) -> bool:
@@ -178,7 +178,11 @@ def without_posts(
         gaps_m = np.hypot(*np.maximum(apart_m - reach_m, 0.0).T)
         return bool((gaps_m <= config.post_tolerance_m).any())
 
-    return [(track, moves) for track, moves in near if moves or not is_post(track)]
+    def is_mover(track: Track) -> bool:
+        age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
+        return length_m(track) <= config.max_post_width_m or age_s >= config.joined_post_s
+
+    return [(track, moves) for track, moves in near if (moves and is_mover(track)) or not is_post(track)]
 
 
 def horizon_s(stop_s: float, config: TrackedConfig) -> float:

@@ -150,6 +150,11 @@ def test_gate_posts(config: SafetyConfig) -> None:
     for moves, kept in ((False, [1, 2, 4, 5]), (True, [0, 1, 2, 3, 4, 5])):
         near = [(one, moves) for one in (*at, wide, joined, beside, long)]
         assert [one.id for one, _ in without_posts(near, posts, config.tracked)] == kept
+    for age_s, kept in ((0.9, [0]), (1.0, [0, 3])):  # a box that grows seems to move
+        moving = [(replace(one, last_seen_ns=one.first_seen_ns + round(age_s * 1e9)), True) for one in (at[0], joined)]
+        assert [one.id for one, _ in without_posts(moving, posts, config.tracked)] == kept
+    for moves in (False, True):
+        near = [(one, moves) for one in (*at, wide, joined, beside, long)]
         assert without_posts(near, posts[:0], config.tracked) == near
     unknown = track(math.nan, 0.0)
     assert without_posts([(unknown, False)], posts, config.tracked) == [(unknown, False)]
