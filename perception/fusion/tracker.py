@@ -23,6 +23,7 @@ from perception.fusion.tracks import (
     is_line_along,
     is_moving_class,
     is_rail,
+    is_ring,
     is_upright,
     match,
     merge_fragments,
@@ -117,10 +118,10 @@ class Tracker(Node):
         is_static &= ~is_moving_class(t.class_evidence) | is_rail(t.size_m, t.class_evidence)
         velocity[is_static & ~np.isin(t.id, self._moving)] = 0.0  # one contradiction does not stop a body that moved
         self._moving = t.id[velocity.any(axis=1) & ~is_static]
-        is_line = is_line_along(t.size_m, t.yaw_rad, velocity)
-        velocity[is_line & occupancy.continues_ahead(t.x, velocity, t.size_m, self._stamp_ns)] = 0.0
+        is_along = is_line_along(t.size_m, t.yaw_rad, velocity)
+        velocity[is_along & occupancy.continues_ahead(t.x, velocity, t.size_m, self._stamp_ns)] = 0.0
         label, confidence = classify(t, velocity)
-        velocity[is_upright(t.size_m, label)] = 0.0
+        velocity[is_upright(t.size_m, label) | is_ring(t.size_m, label, velocity)] = 0.0
         # a track without confirmed motion stays at its last detection: its uncertain speed does not move it
         unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
         p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]

@@ -24,6 +24,7 @@ FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the grou
 SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height
+LOW_MPS = 8.0  # greatest speed of a body that is seen as a low line
 ALONG = 0.94  # cosine of 20°
 GATED_COST = 1e9
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
@@ -319,11 +320,22 @@ def is_rail(size_m: Float64, class_evidence: Float64) -> Bool:
     return np.asarray(is_thin & ~is_of(class_evidence, VEHICLE))
 
 
+def is_line(size_m: Float64) -> Bool:
+    """Which tracks (T,) are low lines of returns."""
+    return np.asarray(
+        (size_m[:, 0] >= LINE_M) & (size_m[:, 1] <= LINE_RATIO * size_m[:, 0]) & (size_m[:, 2] <= LINE_HEIGHT_M)
+    )
+
+
+def is_ring(size_m: Float64, label: Int64, velocity_mps: Float64) -> Bool:
+    """Which tracks (T,) of no class are low lines faster than such a body: rings on a crest as the machine pitches."""
+    return np.asarray(is_line(size_m) & (label == UNKNOWN) & (np.hypot(*velocity_mps.T) > LOW_MPS))
+
+
 def is_line_along(size_m: Float64, yaw_rad: Float64, velocity_mps: Float64) -> Bool:
     """Which tracks (T,) are low lines of returns that move along themselves, as where rings meet rails or slopes."""
-    is_line = (size_m[:, 0] >= LINE_M) & (size_m[:, 1] <= LINE_RATIO * size_m[:, 0]) & (size_m[:, 2] <= LINE_HEIGHT_M)
     along = np.abs(velocity_mps[:, 0] * np.cos(yaw_rad) + velocity_mps[:, 1] * np.sin(yaw_rad))
-    return np.asarray(is_line & (along >= ALONG * np.hypot(*velocity_mps.T)))
+    return np.asarray(is_line(size_m) & (along >= ALONG * np.hypot(*velocity_mps.T)))
 
 
 def is_upright(size_m: Float64, label: Int64) -> Bool:

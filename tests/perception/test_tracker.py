@@ -11,6 +11,7 @@ from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
+from perception.fusion.tracks import CLASSES, is_ring
 from perception.lidar.classes import class_scores
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
@@ -424,3 +425,12 @@ def test_a_calf_whose_parts_alternate_is_known_to_move():
         still.append(message(t, [[-1.7, 10.0 + 0.45 * part, 0.6]], (0.35, 0.25, 0.5) if part else (1.25, 0.3, 0.9),
                              seed=i, yaw=np.pi / 2.0))  # fmt: skip
     assert all(not t.velocity_mps.any() for m in run(new_tracker(), still) for t in m.tracks)
+
+
+def test_rings_on_a_crest_do_not_run() -> None:
+    """A line of returns 0.1 m high that jumped by 12 m, and 4 m more, as the machine pitched, moved at 13 m/s."""
+    unknown, vehicle = (list(CLASSES).index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.VEHICLE))
+    size_m = np.array([[1.25, 0.05, 0.1], [1.25, 0.05, 0.1], [1.25, 0.05, 0.1], [1.25, 0.05, 0.4]])
+    label = np.array([unknown, unknown, vehicle, unknown])
+    velocity_mps = np.array([[0.0, -13.0], [0.0, -7.9], [0.0, -13.0], [0.0, -13.0]])
+    assert is_ring(size_m, label, velocity_mps).tolist() == [True, False, False, False]
