@@ -21,7 +21,7 @@ UNKNOWN, PERSON, POLE, AIRBORNE = (
     CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE, ObstacleClass.AIRBORNE)
 )
 FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the ground before
-SLENDER_M, PERSON_HEIGHT_M = 0.3, 2.0  # narrower and higher objects are posts, not persons
+SLENDER_M, PERSON_HEIGHT_M = 0.5, 2.0  # what is narrower and higher, of no class, is a post or the edge of a wall
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height
 LOW_MPS = 8.0  # greatest speed of a body that is seen as a low line

@@ -11,7 +11,7 @@ from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
-from perception.fusion.tracks import CLASSES, is_ring
+from perception.fusion.tracks import CLASSES, is_ring, is_upright
 from perception.lidar.classes import class_scores
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
@@ -434,3 +434,10 @@ def test_rings_on_a_crest_do_not_run() -> None:
     label = np.array([unknown, unknown, vehicle, unknown])
     velocity_mps = np.array([[0.0, -13.0], [0.0, -7.9], [0.0, -13.0], [0.0, -13.0]])
     assert is_ring(size_m, label, velocity_mps).tolist() == [True, False, False, False]
+
+
+def test_the_edge_of_a_wall_does_not_run() -> None:
+    """The edge of a shed, 2.4 m high and 0.46 m of it visible while the machine turned, moved at 10 m/s."""
+    unknown, person = (list(CLASSES).index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON))
+    size_m = np.array([[0.46, 0.05, 2.4], [0.55, 0.05, 2.4], [0.46, 0.05, 1.9], [0.46, 0.3, 2.4]])
+    assert is_upright(size_m, np.array([unknown, unknown, unknown, person])).tolist() == [True, False, False, False]
