@@ -287,7 +287,9 @@ class CollisionMonitor:
         self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
         in_front = [track for track in moving if track.id in ids]
         around = [track for track, _ in near] if is_standing else []
-        self.bystanders.update(beside, in_front, around, tracks, area, pose_odom, speed_mps, braking, predicted_s)
+        self.bystanders.update(
+            beside, in_front, around, tracks, area, pose_odom, speed_mps, odom.yaw_rate_radps, braking, predicted_s
+        )
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(

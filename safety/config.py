@@ -240,6 +240,7 @@ class BystanderConfig(Config):
     max_unclassified_height_m: Metres = Field(description="height of an unclassified narrow track that moves itself")
     min_coming_s: Seconds = Field(description="time for which a track must come")
     min_coming_m: Metres = Field(description="and distance for which, at its speed")
+    min_following_s: Seconds = Field(description="the same of one that follows and would be reached by braking")
     manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="change of its velocity that a body may make")
     closing_m: Metres = Field(description="a predicted approach by less is none")
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")

@@ -21,9 +21,9 @@ from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
 from safety.stopping_distance import Braking, braking_travel_m, stopping_time
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
+from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted, velocity_sigma_mps
 
-FOLLOWING_SLOPE = 2.0  # velocity along the machine over that across it
+FOLLOWING_SLOPE, FOLLOWING_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
 MARGIN_S = 0.5  # for which the machine stands before who follows it arrives
 
 
@@ -53,6 +53,7 @@ class Bystanders:
         self._pto_stop_s = pto_stop_s
         self._places: dict[int, Place] = {}
         self._coming_since_ns: dict[int, int] = {}
+        self._following_since_ns: dict[int, int] = {}
         self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
         self._at_machine_ns: tuple[int, int] | None = None  # first and last time
         self.coming: CriticalObject | None = None
@@ -101,27 +102,28 @@ class Bystanders:
 
     def update(
         self, beside: Iterable[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
-        area: SweptArea, pose_odom: Float64, speed_mps: float, braking: Braking, predicted_s: float,
+        area: SweptArea, pose_odom: Float64, speed_mps: float, yaw_rate_radps: float, braking: Braking,
+        predicted_s: float,
     ) -> None:  # fmt: skip
         """Takes the moving tracks beside and ahead, those `near` a machine at rest, and all, for base at `pose_odom`
         (3,) in odom with a speed along the area. Who comes from ahead is no reason to stop here, the path is checked
         for them, but one to stay. Who follows the machine reaches it also when it brakes: it has to stand before.
         """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
-        stop_s = np.linspace(0.0, min(predicted_s, stopping_time(speed_mps, braking) + MARGIN_S), self._tracked.steps)
-        on, stopping = (times_s, speed_mps * times_s), (stop_s, braking_travel_m(speed_mps, braking, stop_s))
-        found = [
-            track for track in beside
-            if self._is_coming(track, area, pose_odom, *on)
-            or (_follows(track, area, pose_odom) and self._is_coming(track, area, pose_odom, *stopping))
-        ]  # fmt: skip
+        beside, stamp_ns = list(beside), 0 if tracks is None else tracks.stamp_ns
+        found = [t for t in beside if self._is_coming(t, area, pose_odom, times_s, speed_mps * times_s)]
         sides = {track.id for track in found}
         found += [
             track for track in ahead
             if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, times_s, np.zeros_like(times_s))
         ]  # fmt: skip
-        lasting = self._lasting(found, 0 if tracks is None else tracks.stamp_ns)
-        coming = [track for track in lasting if track.id in sides]
+        lasting = self._lasting(found, stamp_ns)
+        followers = [
+            track for track in beside
+            if _follows(track, area, pose_odom, area.direction * speed_mps, yaw_rate_radps)
+            and self._overtakes(track, area, pose_odom, speed_mps, braking)
+        ]  # fmt: skip
+        coming = [track for track in lasting if track.id in sides] + self._long_followers(followers, stamp_ns)
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
         followed = dict(self._followed(seen))
@@ -129,7 +131,7 @@ class Bystanders:
             number: place
             for number, place in followed.items()
             if _gap_m(place, area, pose_odom) <= (self._config.away_m if place.is_seen else self._config.lost_m)
-        } | {track.id: place_of(track) for track in (*lasting, *self._arrived(near, area, pose_odom))}
+        } | {track.id: place_of(track) for track in (*lasting, *coming, *self._arrived(near, area, pose_odom))}
 
     def _arrived(self, near: Iterable[Track], area: SweptArea, pose_odom: Float64) -> list[Track]:
         """Those that have come nearer to the machine at rest since they were first seen there."""
@@ -158,12 +160,31 @@ class Bystanders:
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
 
+    def _overtakes(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, braking: Braking) -> bool:
+        """Whether who follows the machine reaches it while it brakes, or soon after."""
+        if track.label is ObstacleClass.UNKNOWN:
+            return False
+        last_s = min(self._tracked.max_horizon_s, stopping_time(speed_mps, braking) + MARGIN_S)
+        times_s = np.linspace(0.0, last_s, self._tracked.steps)
+        gaps_m = _gap_m(place_of(track), area, pose_odom) + braking_travel_m(speed_mps, braking, times_s)
+        fastest_mps = math.hypot(*track.velocity_mps[:2].tolist()) + velocity_sigma_mps(track)
+        gaps_m -= fastest_mps * times_s
+        return float(gaps_m.min()) <= self._tracked.lateral_m
+
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
         """Those that come in two messages and for some distance: edges of walls, parts of fences, stored goods that
         come into view and dust appear to for a moment."""
         since_ns = {track.id: self._coming_since_ns.get(track.id, stamp_ns) for track in coming}
         self._coming_since_ns = since_ns
         return [track for track in coming if (stamp_ns - since_ns[track.id]) * 1e-9 >= self._needed_s(track)]
+
+    def _long_followers(self, followers: list[Track], stamp_ns: int) -> list[Track]:
+        """Those that follow for some time: a cloud of dust behind the implement has a class for a moment."""
+        self._following_since_ns = {
+            track.id: self._following_since_ns.get(track.id, stamp_ns) for track in followers
+        }  # fmt: skip
+        least_ns = self._config.min_following_s * 1e9
+        return [track for track in followers if stamp_ns - self._following_since_ns[track.id] >= least_ns]
 
     def _needed_s(self, track: Track) -> float:
         speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
@@ -219,10 +240,15 @@ def _in_frames(points: Float64, poses: Float64) -> tuple[Float64, Float64]:
     return c * dx + s * dy, c * dy - s * dx
 
 
-def _follows(track: Track, area: SweptArea, pose_odom: Float64) -> bool:
-    """Whether a track moves the way that the machine does, and does not cross it."""
-    along, across = from_frame(np.array([0.0, 0.0, pose_odom[2]]), track.velocity_mps[None, :2])[0]
-    return bool(area.direction * along >= FOLLOWING_SLOPE * abs(across) and along != 0.0)
+def _follows(track: Track, area: SweptArea, pose_odom: Float64, forward_mps: float, yaw_rate_radps: float) -> bool:
+    """Whether a track keeps its place behind a machine, as it moves and turns, or comes straight on from there."""
+    to_base, side = np.array([0.0, 0.0, pose_odom[2]]), area.direction
+    x, y = from_frame(pose_odom, track.p_odom_m[None, :2])[0]
+    ends = (poses[0, 0] + (body.rear_m if side > 0 else body.front_m) for body, poses in area.bodies)
+    along, across = from_frame(to_base, track.velocity_mps[None, :2])[0]
+    along, across = along - forward_mps + yaw_rate_radps * y, across - yaw_rate_radps * x
+    is_behind = all(side * x < side * end for end in ends)
+    return bool(is_behind and side * along >= FOLLOWING_SLOPE * (abs(across) - FOLLOWING_MPS))
 
 
 def _gap_m(place: Place, area: SweptArea, pose_odom: Float64) -> float:

@@ -52,21 +52,23 @@ def bystanders(config: SupervisorConfig) -> Bystanders:
 
 def see(
     bystanders: Bystanders, area: SweptArea, *tracks: Track, speed_mps: float = 0.0, pose: Float64 = HERE,
-    at_s: float = 0.0,
+    at_s: float = 0.0, yaw_rate_radps: float = 0.0,
 ) -> bool:  # fmt: skip
     """Whether somebody comes in two messages, of tracks that move as their velocity says."""
     for stamp_ns in (START_NS + round(at_s * 1e9), START_NS + round((at_s + 0.4) * 1e9)):
-        take(bystanders, area, *tracks, speed_mps=speed_mps, pose=pose, stamp_ns=stamp_ns)
+        take(
+            bystanders, area, *tracks, speed_mps=speed_mps, pose=pose, stamp_ns=stamp_ns, yaw_rate_radps=yaw_rate_radps
+        )
     return bystanders.coming is not None
 
 
 def take(
     bystanders: Bystanders, area: SweptArea, *tracks: Track, speed_mps: float = 0.0, pose: Float64 = HERE,
-    stamp_ns: int = START_NS,
+    stamp_ns: int = START_NS, yaw_rate_radps: float = 0.0,
 ) -> None:  # fmt: skip
     moving = [track for track in tracks if track.velocity_mps.any()]
     near = tracks if speed_mps == 0.0 else ()
-    bystanders.update(moving, (), near, Tracks(stamp_ns, tracks), area, pose, speed_mps, FLAT, 2.0)
+    bystanders.update(moving, (), near, Tracks(stamp_ns, tracks), area, pose, speed_mps, yaw_rate_radps, FLAT, 2.0)
 
 
 @pytest.mark.parametrize("label", [ObstacleClass.UNKNOWN, ObstacleClass.PERSON])
@@ -184,13 +186,13 @@ def test_who_came_to_the_machine_from_ahead_keeps_it_standing(
         one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
         for at_s in (0.0, 0.4):
             rider = person(7.0 - speed_mps * at_s, 0.0, vx=-speed_mps, label=label)
-            one.update((), [rider], (), Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, FLAT, 2.0)
+            one.update((), [rider], (), Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
             assert one.coming is None
         stands = person(front_m + 0.5, 0.0)
-        one.update((), (), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, FLAT, 2.0)
+        one.update((), (), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
         is_near = one.is_near
         left = person(front_m + config.bystanders.away_m + 0.3, 0.0)
-        one.update((), (), (), Tracks(START_NS, (left,)), area, HERE, 0.0, FLAT, 2.0)
+        one.update((), (), (), Tracks(START_NS, (left,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
         assert not one.is_near
         return is_near
 
@@ -219,7 +221,7 @@ def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config
     for _ in range(50):
         see(bystanders, area, somebody_else)
         assert bystanders.is_near
-    bystanders.update((), (), (), None, area, HERE, 0.0, FLAT, 2.0)
+    bystanders.update((), (), (), None, area, HERE, 0.0, 0.0, FLAT, 2.0)
     assert bystanders.is_near
     edge = 4.0 - 0.2 - WING_Y  # gap of the nearest side of the box
     for gap_m, is_near in ((-0.01, True), (0.01, False)):  # the machine has moved on to the right
@@ -428,3 +430,19 @@ def test_who_follows_reaches_a_machine_that_brakes(bystanders: Bystanders, area:
     for gap_m, v_mps, comes in ((3.5, 3.4, True), (6.5, 3.4, False), (2.5, 1.6, False)):
         assert see(Bystanders(bystanders._config, bystanders._tracked, PTO_STOP_S), area, quad(gap_m, v_mps),
                    speed_mps=1.5) == comes, (gap_m, v_mps)  # fmt: skip
+
+
+@clause("BD-5.2.4")
+def test_who_follows_through_a_turn(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> None:
+    """A roe deer 1 m behind keeps its place while the machine turns at 5 m; one that crosses its track there passes."""
+    area = swept(vehicle, implement, config, 0.2)
+    deer, dust = ObstacleClass.ANIMAL, ObstacleClass.UNKNOWN
+    for at, velocity, label, comes in (
+        ((-4.0, 1.0), (1.76, -1.6), deer, True),
+        ((-4.0, 1.0), (1.76, 1.6), deer, False),  # crosses
+        ((-4.0, 1.0), (1.76, -1.6), dust, False),
+        ((0.0, -5.0), (4.4, 0.0), deer, False),  # beside the machine
+    ):
+        behind = person(*at, *velocity, label=label, size=(0.4, 0.3, 0.5))
+        bystanders = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        assert see(bystanders, area, behind, speed_mps=2.2, yaw_rate_radps=0.44) == comes

@@ -316,7 +316,7 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
     look(collision_monitor, config)
     moving, area, _, _, _ = collision_monitor.bystanders.note_close.asked
     assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
-    moving, approaching, near, tracks, area, _, speed_mps, braking, predicted_s = (
+    moving, approaching, near, tracks, area, _, speed_mps, _, braking, predicted_s = (
         collision_monitor.bystanders.update.asked
     )
     assert (moving, approaching, near, braking) == ([beside], [ahead], [], config.braking.flat)
