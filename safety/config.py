@@ -55,6 +55,9 @@ class FieldConfig(Config):
     cell_m: float = Field(gt=0.05, le=2.0)
     min_returns_single_scan: int = Field(ge=1, le=50, description="returns in a cell in one scan for a hit")
     min_returns_multiple_scan: int = Field(ge=1, le=50, description="returns in a cell in each of two scans for a hit")
+    scans_at_rest: int = Field(
+        ge=2, le=100, description="scans in a row, at rest, in each of which one return is enough"
+    )
     min_returns_in_fog: int = Field(ge=1, le=50, description="returns in a cell that floats, in fog, rain or dust")
     blind_zone_hold_s: float = Field(
         ge=0.0, le=600.0, description="hold time of a hit at the edge of the lowest beam; one farther below has none"

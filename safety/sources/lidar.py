@@ -48,12 +48,21 @@ from safety.sources.detection_range import (
 from safety.sources.ground_filter import Motion, crop, deskew, mark_obstacles, to_base
 from safety.sources.ground_heights import NO_GROUND, ground_heights
 from safety.sources.measured_ground import level, stands_out
-from safety.sources.multiple_evaluation import Returns, by_cell, cell_keys, evaluate, floats_as_a_whole
+from safety.sources.multiple_evaluation import (
+    Returns,
+    Streaks,
+    by_cell,
+    cell_keys,
+    evaluate,
+    floats_as_a_whole,
+    is_among,
+)
 from safety.sources.near_field import mark_low_obstacles, near_box
 from safety.zones.departure import is_near
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
+NO_STREAKS = Streaks(*NO_CELLS)
 BEYOND_EDGE_M = 8.0  # in which returns show that the ground at the edge of the area falls away
 CONTENT_EVERY = 16  # points of a list: a checksum of all takes over a millisecond
 
@@ -95,7 +104,7 @@ class LidarSource:
         self._directions = tuple(d for d in (1, -1) if covers(lidar, footprint, d))
         self._edges = sector_edges(config.detection_range.sectors)
         self._detection_range_m = dict.fromkeys(self._directions, 0.0)
-        self._cells = NO_CELLS
+        self._cells, self._streaks = NO_CELLS, NO_STREAKS
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents: dict[int, int] = {}  # number of the last scan with each content, oldest first
         self._scans = self._equal_scans = 0
@@ -126,7 +135,8 @@ class LidarSource:
 
         The last scan may be processed again for another box; the cells of the scan before it are then dropped.
         """
-        if scan is self.scan:
+        is_new = scan is not self.scan
+        if not is_new:
             self._cells = NO_CELLS
         else:
             self._count_repetition(content_of(scan))
@@ -167,19 +177,23 @@ class LidarSource:
         is_floating |= floats_as_a_whole(returns, is_floating, is_standing)
         self._keep_floated(points_odom[is_floating])
         is_floating |= self._follows_floating(others, points_odom, returns, is_standing)
-        is_hit, cells = evaluate(
-            returns,
-            is_high[marked],
-            is_floating | (is_dense | is_hole)[marked],
-            self._cells,
-            field.min_returns_single_scan,
-            field.min_returns_multiple_scan,
-        )
+        is_doubtful = is_floating | (is_dense | is_hole)[marked]
+        single, multiple = field.min_returns_single_scan, field.min_returns_multiple_scan
+        is_hit, cells = evaluate(returns, is_high[marked], is_doubtful, self._cells, single, multiple)
         if self._is_in_fog:  # what is left of it is in the same cell in three scans by chance
             is_hit &= ~is_floating | (returns.counts >= field.min_returns_in_fog)[returns.which]
         self._cells = (cells, self._cells[0])
+        if is_new:
+            self._continue_streaks(returns.cells[returns.number(~is_doubtful) > 0], motion)
+        lasting = self._streaks.longer_than(field.scans_at_rest)
+        is_hit |= ~is_doubtful & is_among(returns.cells, lasting)[returns.which]
         self.holes_odom_m = points_odom[is_hit & is_hole[marked], :2]
         self._hold_in_blind_zone(points_odom[is_hit], pose_odom, curvature_radpm, scan.stamp_ns)
+
+    def _continue_streaks(self, cells: Int64, motion: Motion) -> None:
+        """Takes the sorted cells in which something stands; a machine that moves, and fog, start again."""
+        is_at_rest = abs(motion.speed_mps) <= self._config.modes.standstill_mps
+        self._streaks = (self._streaks if is_at_rest and not self._is_in_fog else NO_STREAKS).continued(cells)
 
     def _mark(self, xyz: Float32, area: Box, near_field: Box | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which returns (3, N) are obstacles, and which of them are high, or hardly stand out, (N,) bool."""

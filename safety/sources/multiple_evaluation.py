@@ -2,7 +2,8 @@
 
 Low returns, near the height of the ground itself, count in two scans only. A cell whose returns float, with clear space
 beneath them, counts in three: a bird at 6 m/s is not in it for so long, a branch, a barrier or a load is. So does one
-of returns that hardly stand out of rough ground: plants that the machine passes look like a body in two scans.
+of returns that hardly stand out of rough ground: plants that the machine passes look like a body in two scans. Before a
+machine at rest one return in each of many scans is enough: a thin post between the columns of a lidar has no more.
 """
 
 from typing import NamedTuple
@@ -57,6 +58,24 @@ def evaluate(
     is_cell_doubtful = returns.number(is_doubtful) >= MIN_DOUBTFUL_RATIO * counts
     is_hit = np.where(is_cell_doubtful, in_two & was_seen_twice, in_one | in_two)
     return is_hit[returns.which], cells[counts >= multiple]
+
+
+class Streaks(NamedTuple):
+    """Sorted cells (K,) with the number of scans in a row (K,) in which each had a return."""
+
+    cells: Int64
+    scans: Int64
+
+    def continued(self, cells: Int64) -> "Streaks":
+        """Those of the next scan, with returns in sorted cells (L,)."""
+        scans = np.ones(len(cells), np.int64)
+        was_seen = is_among(cells, self.cells)
+        scans[was_seen] += self.scans[np.searchsorted(self.cells, cells[was_seen])]
+        return Streaks(cells, scans)
+
+    def longer_than(self, scans: int) -> Int64:
+        """Sorted cells seen in at least so many scans in a row."""
+        return self.cells[self.scans >= scans]
 
 
 def floats_as_a_whole(returns: Returns, is_floating: Bool, is_standing: Bool) -> Bool:

@@ -17,6 +17,7 @@ from safety.sources.ground_filter import Motion, deskew
 from safety.sources.lidar import LidarSource, content_of
 from safety.zones.footprint import Box as Area
 from safety.zones.footprint import Footprint, footprint_of
+from tests.clause import clause
 from tests.safety.safety_world import NO_BYTES, START_NS, Box, scan_of
 
 STILL = Motion(0.0, 0.0)
@@ -238,6 +239,21 @@ def test_multiple_scan_evaluation(source: LidarSource) -> None:
     first, second, third = (few(whole, START_NS + k, 2) for k in range(3))
     assert [process(source, one) for one in (first, second, second, third)] == [0, 2, 0, 2]
     assert [process(source, few(whole, 9, count)) for count in (3, 1, 3, 3)] == [3, 0, 0, 3]
+
+
+@clause("BD-5.2.4")
+def test_one_return_in_each_of_many_scans_at_rest(lidar: Lidar, config: SafetyConfig) -> None:
+    """A thin post between the columns of a lidar, right before a wing, has one return a scan (draw 10945)."""
+    whole, enough = scan((8.1, 0.1, 1.6)), config.field.scans_at_rest
+    for motion, hits in ((STILL, 1), (Motion(config.modes.standstill_mps + 0.01, 0.0), 0)):
+        source = LidarSource("front", lidar, SMALL, config)
+        seen = [process(source, few(whole, START_NS + k, 1), motion=motion) for k in range(enough)]
+        assert seen == [0] * (enough - 1) + [hits]
+        again = source.scan
+        assert again is not None
+        assert process(source, again, motion=motion) == hits  # for another box
+    process(source, few(whole, START_NS + enough, 0))  # a scan without it
+    assert process(source, few(whole, START_NS + enough + 1, 1)) == 0
 
 
 def test_trailer_self_mask_by_curvature(lidar: Lidar, vehicle: Vehicle, config: SafetyConfig) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from safety.sources.multiple_evaluation import by_cell, cell_keys, evaluate, floats_as_a_whole, thin
+from safety.sources.multiple_evaluation import Streaks, by_cell, cell_keys, evaluate, floats_as_a_whole, thin
 
 NONE = np.empty(0, np.int64)
 
@@ -103,3 +103,12 @@ def test_a_body_floats_as_a_whole_by_the_cells_around() -> None:
     assert whole(slice(0, 6), slice(6, 10)) == [False, False, False]
     assert whole(slice(0, 6), slice(10, 14)) == [False, False, False]  # who stands beside it
     assert whole(slice(20, 30), none) == [False, False, False]
+
+
+def test_streaks() -> None:
+    streaks = Streaks(NONE, NONE)
+    for cells, scans in (((3, 5), (1, 1)), ((3, 7), (2, 1)), ((3, 5, 7), (3, 1, 2))):
+        streaks = streaks.continued(np.array(cells))
+        assert (tuple(streaks.cells), tuple(streaks.scans)) == (cells, scans)
+    assert streaks.longer_than(2).tolist() == [3, 7]
+    assert len(streaks.continued(NONE).cells) == 0
