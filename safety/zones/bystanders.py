@@ -24,6 +24,8 @@ from safety.zones.swept_area import SweptArea
 from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted, velocity_sigma_mps
 
 FOLLOWING_SLOPE, FOLLOWING_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
+FOLLOWING_M = 5.0  # farther away they are no followers
+CLOSING_MPS = 1.0  # of a vehicle that does not keep its distance
 MARGIN_S = 0.5  # for which the machine stands before who follows it arrives
 
 
@@ -164,11 +166,14 @@ class Bystanders:
         """Whether who follows the machine reaches it while it brakes, or soon after."""
         if track.label is ObstacleClass.UNKNOWN:
             return False
+        gap_m, follower_mps = _gap_m(place_of(track), area, pose_odom), math.hypot(*track.velocity_mps[:2].tolist())
+        keeps_distance = gap_m > self._config.away_m and follower_mps < speed_mps + CLOSING_MPS
+        if gap_m > FOLLOWING_M or (track.label is ObstacleClass.VEHICLE and keeps_distance):
+            return False  # it has a driver
         last_s = min(self._tracked.max_horizon_s, stopping_time(speed_mps, braking) + MARGIN_S)
         times_s = np.linspace(0.0, last_s, self._tracked.steps)
-        gaps_m = _gap_m(place_of(track), area, pose_odom) + braking_travel_m(speed_mps, braking, times_s)
-        fastest_mps = math.hypot(*track.velocity_mps[:2].tolist()) + velocity_sigma_mps(track)
-        gaps_m -= fastest_mps * times_s
+        fastest_mps = follower_mps + velocity_sigma_mps(track)
+        gaps_m = gap_m + braking_travel_m(speed_mps, braking, times_s) - fastest_mps * times_s
         return float(gaps_m.min()) <= self._tracked.lateral_m
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:

@@ -423,13 +423,17 @@ def test_what_is_right_at_a_machine_at_rest_keeps_it(
 
 
 @clause("BD-5.2.4")
-def test_who_follows_reaches_a_machine_that_brakes(bystanders: Bystanders, area: SweptArea) -> None:
-    def quad(gap_m: float, v_mps: float) -> Track:
-        return person(-2.4 - gap_m - 0.2, 0.0, vx=v_mps, label=ObstacleClass.VEHICLE, size=(0.4, 1.0, 1.2))
-
-    for gap_m, v_mps, comes in ((3.5, 3.4, True), (6.5, 3.4, False), (2.5, 1.6, False)):
-        assert see(Bystanders(bystanders._config, bystanders._tracked, PTO_STOP_S), area, quad(gap_m, v_mps),
-                   speed_mps=1.5) == comes, (gap_m, v_mps)  # fmt: skip
+def test_who_follows_reaches_a_machine_that_brakes(area: SweptArea, config: SupervisorConfig) -> None:
+    """The driver of a vehicle that keeps its distance, as on a road, brakes too."""
+    quad, runner = ObstacleClass.VEHICLE, ObstacleClass.PERSON
+    for label, gap_m, v_mps, speed_mps, comes in (
+        (quad, 3.5, 3.4, 1.5, True), (runner, 2.5, 1.6, 1.5, False),
+        (runner, 4.9, 3.85, 3.2, True), (runner, 5.1, 3.85, 3.2, False),
+        (runner, 4.0, 3.4, 3.2, True), (quad, 4.0, 3.4, 3.2, False), (quad, 1.9, 3.4, 3.2, True),
+    ):  # fmt: skip
+        behind = person(-2.4 - gap_m - 0.2, 0.0, vx=v_mps, label=label, size=(0.4, 1.0, 1.2))
+        bystanders = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        assert see(bystanders, area, behind, speed_mps=speed_mps) == comes, (label, gap_m, v_mps)
 
 
 @clause("BD-5.2.4")
