@@ -10,7 +10,7 @@ the machine stops the PTO, which runs down more slowly than the machine stops.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,14 +19,10 @@ from geometry.arrays import Float64
 from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
-from safety.stopping_distance import Braking, braking_travel_m, stopping_time
+from safety.stopping_distance import Braking
+from safety.zones.followers import Followers
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted, velocity_sigma_mps
-
-FOLLOWING_SLOPE, FOLLOWING_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
-FOLLOWING_M = 5.0  # farther away they are no followers
-CLOSING_MPS = 1.0  # of a vehicle that does not keep its distance
-MARGIN_S = 0.5  # for which the machine stands before who follows it arrives
+from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Bystanders:
         self._pto_stop_s = pto_stop_s
         self._places: dict[int, Place] = {}
         self._coming_since_ns: dict[int, int] = {}
-        self._following_since_ns: dict[int, int] = {}
+        self._followers = Followers(config, tracked)
         self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
         self._at_machine_ns: tuple[int, int] | None = None  # first and last time
         self.coming: CriticalObject | None = None
@@ -79,7 +75,7 @@ class Bystanders:
         times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
         for track in moving:
             is_near = self._is_settled(track) and _gap_m(place_of(track), area, pose_odom) <= self.pto_off_m
-            if is_near or any(self._is_coming(track, area, pose_odom, times_s, v * times_s) for v in (speed_mps, 0.0)):
+            if is_near or any(self._is_coming(track, area, pose_odom, v, times_s) for v in (speed_mps, 0.0)):
                 self._close_ns = now_ns
 
     def note_returns(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
@@ -103,7 +99,7 @@ class Bystanders:
         self._places = {number: place for number, place in self._places.items() if place.is_seen}
 
     def update(
-        self, beside: Iterable[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
+        self, beside: Sequence[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
         area: SweptArea, pose_odom: Float64, speed_mps: float, yaw_rate_radps: float, braking: Braking,
         predicted_s: float,
     ) -> None:  # fmt: skip
@@ -112,20 +108,19 @@ class Bystanders:
         for them, but one to stay. Who follows the machine reaches it also when it brakes: it has to stand before.
         """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
-        beside, stamp_ns = list(beside), 0 if tracks is None else tracks.stamp_ns
-        found = [t for t in beside if self._is_coming(t, area, pose_odom, times_s, speed_mps * times_s)]
+        stamp_ns = 0 if tracks is None else tracks.stamp_ns
+        found = [track for track in beside if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
         sides = {track.id for track in found}
         found += [
             track for track in ahead
-            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, times_s, np.zeros_like(times_s))
+            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, 0.0, times_s)
         ]  # fmt: skip
         lasting = self._lasting(found, stamp_ns)
-        followers = [
-            track for track in beside
-            if _follows(track, area, pose_odom, area.direction * speed_mps, yaw_rate_radps)
-            and self._overtakes(track, area, pose_odom, speed_mps, braking)
-        ]  # fmt: skip
-        coming = [track for track in lasting if track.id in sides] + self._long_followers(followers, stamp_ns)
+        near_m = {track.id: _gap_m(place_of(track), area, pose_odom) for track in beside}
+        followers = self._followers.update(
+            beside, near_m, area, pose_odom, (speed_mps, yaw_rate_radps), braking, stamp_ns
+        )
+        coming = [track for track in lasting if track.id in sides] + followers
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
         followed = dict(self._followed(seen))
@@ -146,35 +141,19 @@ class Bystanders:
             if gaps_m[track.id] <= min(config.away_m, self._first_gaps_m[track.id] - config.arrived_m)
         ]  # fmt: skip
 
-    def _is_coming(
-        self, track: Track, area: SweptArea, pose_odom: Float64, times_s: Float64, travel_m: Float64
-    ) -> bool:
-        """Whether a moving track gets nearer to the bodies, which travel (N,) in the times (N,), and can meet one.
+    def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
+        """Whether a moving track gets nearer to the bodies, as they move on, and can meet one of them.
 
         It comes nearer at its velocity; to meet them it may also change that.
         """
         if not self._is_settled(track):
             return False
         centers, reach_m = predicted(track, times_s, self._tracked)
-        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, travel_m) - reach_m
+        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
         is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
         is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
         return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
-
-    def _overtakes(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, braking: Braking) -> bool:
-        """Whether who follows the machine reaches it while it brakes, or soon after."""
-        if track.label is ObstacleClass.UNKNOWN:
-            return False
-        gap_m, follower_mps = _gap_m(place_of(track), area, pose_odom), math.hypot(*track.velocity_mps[:2].tolist())
-        keeps_distance = gap_m > self._config.away_m and follower_mps < speed_mps + CLOSING_MPS
-        if gap_m > FOLLOWING_M or (track.label is ObstacleClass.VEHICLE and keeps_distance):
-            return False  # it has a driver
-        last_s = min(self._tracked.max_horizon_s, stopping_time(speed_mps, braking) + MARGIN_S)
-        times_s = np.linspace(0.0, last_s, self._tracked.steps)
-        fastest_mps = follower_mps + velocity_sigma_mps(track)
-        gaps_m = gap_m + braking_travel_m(speed_mps, braking, times_s) - fastest_mps * times_s
-        return float(gaps_m.min()) <= self._tracked.lateral_m
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
         """Those that come in two messages and for some distance: edges of walls, parts of fences, stored goods that
@@ -182,14 +161,6 @@ class Bystanders:
         since_ns = {track.id: self._coming_since_ns.get(track.id, stamp_ns) for track in coming}
         self._coming_since_ns = since_ns
         return [track for track in coming if (stamp_ns - since_ns[track.id]) * 1e-9 >= self._needed_s(track)]
-
-    def _long_followers(self, followers: list[Track], stamp_ns: int) -> list[Track]:
-        """Those that follow for some time: a cloud of dust behind the implement has a class for a moment."""
-        self._following_since_ns = {
-            track.id: self._following_since_ns.get(track.id, stamp_ns) for track in followers
-        }  # fmt: skip
-        least_ns = self._config.min_following_s * 1e9
-        return [track for track in followers if stamp_ns - self._following_since_ns[track.id] >= least_ns]
 
     def _needed_s(self, track: Track) -> float:
         speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
@@ -243,17 +214,6 @@ def _in_frames(points: Float64, poses: Float64) -> tuple[Float64, Float64]:
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
     return c * dx + s * dy, c * dy - s * dx
-
-
-def _follows(track: Track, area: SweptArea, pose_odom: Float64, forward_mps: float, yaw_rate_radps: float) -> bool:
-    """Whether a track keeps its place behind a machine, as it moves and turns, or comes straight on from there."""
-    to_base, side = np.array([0.0, 0.0, pose_odom[2]]), area.direction
-    x, y = from_frame(pose_odom, track.p_odom_m[None, :2])[0]
-    ends = (poses[0, 0] + (body.rear_m if side > 0 else body.front_m) for body, poses in area.bodies)
-    along, across = from_frame(to_base, track.velocity_mps[None, :2])[0]
-    along, across = along - forward_mps + yaw_rate_radps * y, across - yaw_rate_radps * x
-    is_behind = all(side * x < side * end for end in ends)
-    return bool(is_behind and side * along >= FOLLOWING_SLOPE * (abs(across) - FOLLOWING_MPS))
 
 
 def _gap_m(place: Place, area: SweptArea, pose_odom: Float64) -> float:
