@@ -256,8 +256,8 @@ class CollisionMonitor:
             posts_odom_m = to_frame(pose_odom, from_frame(pose_map, self._geofence.posts))
             near = without_posts(near, posts_odom_m, self._config.tracked)
         is_inside = self._inside_filter(pose_odom, pose_map)
-        at_rest = self._hits_in_field(is_inside) if is_standing and not self.is_docking else NOWHERE
-        self.bystanders.note_returns(at_rest, swept_field.main, pose_odom, odom.stamp_ns)
+        hits = self.sources.lidar_hits_odom_m if is_standing and not self.is_docking else NOWHERE
+        self.bystanders.note_returns(hits, is_inside, swept_field.main, pose_odom, odom.stamp_ns)
         is_among_plants = self.sources.vegetation_m > 0.0
         self.standing_bodies.update(
             near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, is_among_plants
@@ -302,11 +302,6 @@ class CollisionMonitor:
         if is_known is not None and len(hits):
             hits = hits[~is_known(hits)]
         self.departure.update(thin(hits, THIN_M), swept_field.main, pose_odom, now_ns)
-
-    def _hits_in_field(self, is_inside: Callable[[Float64], np.ndarray] | None) -> Float64:
-        """Confirmed returns (N, 2) inside the geofence, where it is known: fence and hedge stand beside it."""
-        hits = thin(self.sources.lidar_hits_odom_m, THIN_M)
-        return hits if is_inside is None or not len(hits) else hits[is_inside(hits)]
 
     def _inside_filter(
         self, pose_odom: Float64, pose_map: Float64 | None

@@ -10,7 +10,7 @@ the machine stops the PTO, which runs down more slowly than the machine stops.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,12 +78,18 @@ class Bystanders:
             if is_near or any(self._is_coming(track, area, pose_odom, v, times_s) for v in (speed_mps, 0.0)):
                 self._close_ns = now_ns
 
-    def note_returns(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
+    def note_returns(
+        self, hits_odom_m: Float64, is_inside: Callable[[Float64], np.ndarray] | None, area: SweptArea,
+        pose_odom: Float64, now_ns: int,
+    ) -> None:  # fmt: skip
         """Takes the confirmed returns (N, 2) about a machine at rest, none while it moves: some right at machine or
-        implement, for a time, keep it standing and its PTO off."""
+        implement, for a time, keep it standing and its PTO off.
+
+        `is_inside` tests points (N, 2) in odom for the geofence, beside which fence and hedge stand; None: not known.
+        """
         gaps_m = distance_to_bodies_m(from_frame(pose_odom, hits_odom_m), area, np.zeros(len(hits_odom_m)))
-        last = self._at_machine_ns
-        if (gaps_m <= self._config.at_machine_m).any():
+        near, last = hits_odom_m[gaps_m <= self._config.at_machine_m], self._at_machine_ns
+        if len(near) and (is_inside is None or is_inside(near).any()):
             self._at_machine_ns = (now_ns if last is None else last[0], now_ns)
         elif last is not None and now_ns - last[1] > self._config.at_machine_s * 1e9:
             self._at_machine_ns = None

@@ -412,13 +412,17 @@ def test_what_is_right_at_a_machine_at_rest_keeps_it(
     ):
         dog = np.array([(rear_m - gap_m, 0.0)])
         for after_ns in (0, least_ns - 1):
-            bystanders.note_returns(dog, area, HERE, START_NS + after_ns)
+            bystanders.note_returns(dog, None, area, HERE, START_NS + after_ns)
             assert not bystanders.is_near
-        bystanders.note_returns(dog, area, HERE, START_NS + least_ns)
+        bystanders.note_returns(dog, None, area, HERE, START_NS + least_ns)
         assert (bystanders.is_near, bystanders.bars_pto(START_NS + least_ns)) == (is_near, is_near)
+    fenced = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+    for after_ns in (0, least_ns):  # the fence of the field
+        fenced.note_returns(dog, lambda points: np.zeros(len(points), bool), area, HERE, START_NS + after_ns)
+        assert not fenced.is_near
     nothing = np.empty((0, 2))
     for after_ns, is_near in ((2 * least_ns, True), (2 * least_ns + 1, False)):  # one scan may miss it
-        bystanders.note_returns(nothing, area, HERE, START_NS + after_ns)
+        bystanders.note_returns(nothing, None, area, HERE, START_NS + after_ns)
         assert bystanders.is_near == is_near
 
 
