@@ -31,6 +31,7 @@ from safety.zones.departure import NOWHERE, Departure, is_near
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
+from safety.zones.machine_motion import MachineMotion
 from safety.zones.protective_field import (
     Clearance,
     PathPosition,
@@ -43,7 +44,7 @@ from safety.zones.protective_field import (
     sweep_field,
 )
 from safety.zones.standing_bodies import StandingBodies
-from safety.zones.swept_area import SweptArea, outline_points
+from safety.zones.swept_area import outline_points
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
     CriticalObject,
@@ -257,26 +258,25 @@ class CollisionMonitor:
             near = without_posts(near, posts_odom_m, self._config.tracked)
         is_inside = self._inside_filter(pose_odom, pose_map)
         hits = self.sources.lidar_hits_odom_m if is_standing and not self.is_docking else NOWHERE
-        self.bystanders.note_returns(hits, is_inside, swept_field.main, pose_odom, odom.stamp_ns)
+        machine = MachineMotion(swept_field.main, pose_odom, speed_mps, odom.yaw_rate_radps, braking)
+        self.bystanders.note_returns(hits, is_inside, machine, odom.stamp_ns)
         is_among_plants = self.sources.vegetation_m > 0.0
         self.standing_bodies.update(
             near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, is_among_plants
         )
         self._critical_object = min(
-            self._nearest_object(
-                near, inputs.tracks, odom, swept_field.main, pose_odom, speed_mps, braking, predicted_s, is_standing
-            ),
+            self._nearest_object(near, inputs.tracks, odom, machine, predicted_s, is_standing),
             self.standing_bodies.hidden, key=lambda one: one.clearance_m,
         )  # fmt: skip
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 
     def _nearest_object(
-        self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, area: SweptArea,
-        pose_odom: Float64, speed_mps: float, braking: Braking, predicted_s: float, is_standing: bool,
+        self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, machine: MachineMotion,
+        predicted_s: float, is_standing: bool,
     ) -> CriticalObject:  # fmt: skip
         """Critical object of all tracks: a bystander who comes towards the machine, else the nearest one ahead."""
-        tracked = self._config.tracked
+        tracked, area, pose_odom = self._config.tracked, machine.area, machine.pose_odom
         side = odom.curvature_radpm, area.direction, tracked.self_filter_m
         ahead = [one for one in near if is_ahead(one[0], self._footprint, pose_odom, *side)]
         ids = {track.id for track, _ in ahead}
@@ -284,12 +284,10 @@ class CollisionMonitor:
         stamp_ns = 0 if tracks is None else tracks.stamp_ns
         broad = [track for track, moves in near if not moves and is_broad_mover(track, stamp_ns, tracked)]
         beside = [track for track in (*moving, *broad) if track.id not in ids]
-        self.bystanders.note_close(moving, area, pose_odom, speed_mps, odom.stamp_ns)
+        self.bystanders.note_close(moving, machine, odom.stamp_ns)
         in_front = [track for track in moving if track.id in ids]
         around = [track for track, _ in near] if is_standing else []
-        self.bystanders.update(
-            beside, in_front, around, tracks, area, pose_odom, speed_mps, odom.yaw_rate_radps, braking, predicted_s
-        )
+        self.bystanders.update(beside, in_front, around, tracks, machine, predicted_s)
         return self.bystanders.coming or nearest_critical_object(area, ahead, pose_odom, predicted_s, tracked)
 
     def _follow_departure(

@@ -19,8 +19,8 @@ from geometry.arrays import Float64
 from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
-from safety.stopping_distance import Braking
 from safety.zones.followers import Followers
+from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea
 from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
 
@@ -67,27 +67,26 @@ class Bystanders:
         span_ns = self._at_machine_ns
         return span_ns is not None and span_ns[1] - span_ns[0] >= self._config.at_machine_s * 1e9
 
-    def note_close(
-        self, moving: Iterable[Track], area: SweptArea, pose_odom: Float64, speed_mps: float, now_ns: int
-    ) -> None:
+    def note_close(self, moving: Iterable[Track], machine: MachineMotion, now_ns: int) -> None:
         """Takes all moving tracks, ahead too; one near a body, or that reaches it while the PTO runs down, stops it:
         also who follows the machine and would reach it if it stopped."""
         times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
         for track in moving:
-            is_near = self._is_settled(track) and _gap_m(place_of(track), area, pose_odom) <= self.pto_off_m
-            if is_near or any(self._is_coming(track, area, pose_odom, v, times_s) for v in (speed_mps, 0.0)):
+            is_near = self._is_settled(track) and _gap_m(place_of(track), machine) <= self.pto_off_m
+            if is_near or any(self._is_coming(track, one, times_s) for one in (machine, machine.at_speed(0.0))):
                 self._close_ns = now_ns
 
     def note_returns(
-        self, hits_odom_m: Float64, is_inside: Callable[[Float64], np.ndarray] | None, area: SweptArea,
-        pose_odom: Float64, now_ns: int,
+        self, hits_odom_m: Float64, is_inside: Callable[[Float64], np.ndarray] | None, machine: MachineMotion,
+        now_ns: int,
     ) -> None:  # fmt: skip
         """Takes the confirmed returns (N, 2) about a machine at rest, none while it moves: some right at machine or
         implement, for a time, keep it standing and its PTO off.
 
         `is_inside` tests points (N, 2) in odom for the geofence, beside which fence and hedge stand; None: not known.
         """
-        gaps_m = distance_to_bodies_m(from_frame(pose_odom, hits_odom_m), area, np.zeros(len(hits_odom_m)))
+        hits = from_frame(machine.pose_odom, hits_odom_m)
+        gaps_m = distance_to_bodies_m(hits, machine.area, np.zeros(len(hits)))
         near, last = hits_odom_m[gaps_m <= self._config.at_machine_m], self._at_machine_ns
         if len(near) and (is_inside is None or is_inside(near).any()):
             self._at_machine_ns = (now_ns if last is None else last[0], now_ns)
@@ -106,26 +105,23 @@ class Bystanders:
 
     def update(
         self, beside: Sequence[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
-        area: SweptArea, pose_odom: Float64, speed_mps: float, yaw_rate_radps: float, braking: Braking,
-        predicted_s: float,
+        machine: MachineMotion, predicted_s: float,
     ) -> None:  # fmt: skip
-        """Takes the moving tracks beside and ahead, those `near` a machine at rest, and all, for base at `pose_odom`
-        (3,) in odom with a speed along the area. Who comes from ahead is no reason to stop here, the path is checked
-        for them, but one to stay. Who follows the machine reaches it also when it brakes: it has to stand before.
+        """Takes the moving tracks beside and ahead, those `near` a machine at rest, and all.
+
+        Who comes from ahead is no reason to stop here, the path is checked for them, but one to stay.
         """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
         stamp_ns = 0 if tracks is None else tracks.stamp_ns
-        found = [track for track in beside if self._is_coming(track, area, pose_odom, speed_mps, times_s)]
+        found = [track for track in beside if self._is_coming(track, machine, times_s)]
         sides = {track.id for track in found}
         found += [
             track for track in ahead
-            if track.label in MAY_WALK and self._is_coming(track, area, pose_odom, 0.0, times_s)
+            if track.label in MAY_WALK and self._is_coming(track, machine.at_speed(0.0), times_s)
         ]  # fmt: skip
         lasting = self._lasting(found, stamp_ns)
-        near_m = {track.id: _gap_m(place_of(track), area, pose_odom) for track in beside}
-        followers = self._followers.update(
-            beside, near_m, area, pose_odom, (speed_mps, yaw_rate_radps), braking, stamp_ns
-        )
+        gaps_m = {track.id: _gap_m(place_of(track), machine) for track in beside}
+        followers = self._followers.update(beside, gaps_m, machine, stamp_ns)
         coming = [track for track in lasting if track.id in sides] + followers
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
@@ -133,21 +129,21 @@ class Bystanders:
         self._places = {
             number: place
             for number, place in followed.items()
-            if _gap_m(place, area, pose_odom) <= (self._config.away_m if place.is_seen else self._config.lost_m)
-        } | {track.id: place_of(track) for track in (*lasting, *coming, *self._arrived(near, area, pose_odom))}
+            if _gap_m(place, machine) <= (self._config.away_m if place.is_seen else self._config.lost_m)
+        } | {track.id: place_of(track) for track in (*lasting, *coming, *self._arrived(near, machine))}
 
-    def _arrived(self, near: Iterable[Track], area: SweptArea, pose_odom: Float64) -> list[Track]:
+    def _arrived(self, near: Iterable[Track], machine: MachineMotion) -> list[Track]:
         """Those that have come nearer to the machine at rest since they were first seen there."""
         config = self._config
         bodies = [track for track in near if float(np.max(track.size_m[:2])) <= self._tracked.max_unclassified_length_m]
-        gaps_m = {track.id: _gap_m(place_of(track), area, pose_odom) for track in bodies}
+        gaps_m = {track.id: _gap_m(place_of(track), machine) for track in bodies}
         self._first_gaps_m = {number: self._first_gaps_m.get(number, gap_m) for number, gap_m in gaps_m.items()}
         return [
             track for track in bodies
             if gaps_m[track.id] <= min(config.away_m, self._first_gaps_m[track.id] - config.arrived_m)
         ]  # fmt: skip
 
-    def _is_coming(self, track: Track, area: SweptArea, pose_odom: Float64, speed_mps: float, times_s: Float64) -> bool:
+    def _is_coming(self, track: Track, machine: MachineMotion, times_s: Float64) -> bool:
         """Whether a moving track gets nearer to the bodies, as they move on, and can meet one of them.
 
         It comes nearer at its velocity; to meet them it may also change that.
@@ -155,7 +151,8 @@ class Bystanders:
         if not self._is_settled(track):
             return False
         centers, reach_m = predicted(track, times_s, self._tracked)
-        gaps_m = distance_to_bodies_m(from_frame(pose_odom, centers), area, speed_mps * times_s) - reach_m
+        centers, travel_m = from_frame(machine.pose_odom, centers), machine.speed_mps * times_s
+        gaps_m = distance_to_bodies_m(centers, machine.area, travel_m) - reach_m
         is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
         is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
         reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
@@ -222,7 +219,7 @@ def _in_frames(points: Float64, poses: Float64) -> tuple[Float64, Float64]:
     return c * dx + s * dy, c * dy - s * dx
 
 
-def _gap_m(place: Place, area: SweptArea, pose_odom: Float64) -> float:
+def _gap_m(place: Place, machine: MachineMotion) -> float:
     """Distance of a bystander from machine and implement now."""
-    points = from_frame(pose_odom, place.box_odom_m)
-    return float(distance_to_bodies_m(points, area, np.zeros(len(points))).min())
+    points = from_frame(machine.pose_odom, place.box_odom_m)
+    return float(distance_to_bodies_m(points, machine.area, np.zeros(len(points))).min())

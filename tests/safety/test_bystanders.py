@@ -14,6 +14,7 @@ from safety.stopping_distance import Braking
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.bystanders import Bystanders, distance_to_bodies_m, nearest_track, place_of
 from safety.zones.footprint import footprint_of
+from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea, arc_poses, spaced, sweep_along
 from safety.zones.tracked_obstacles import is_broad_mover
 from tests.clause import clause
@@ -50,6 +51,10 @@ def bystanders(config: SupervisorConfig) -> Bystanders:
     return Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
 
 
+def at_rest(area: SweptArea) -> MachineMotion:
+    return MachineMotion(area, HERE, 0.0, 0.0, FLAT)
+
+
 def see(
     bystanders: Bystanders, area: SweptArea, *tracks: Track, speed_mps: float = 0.0, pose: Float64 = HERE,
     at_s: float = 0.0, yaw_rate_radps: float = 0.0,
@@ -68,7 +73,8 @@ def take(
 ) -> None:  # fmt: skip
     moving = [track for track in tracks if track.velocity_mps.any()]
     near = tracks if speed_mps == 0.0 else ()
-    bystanders.update(moving, (), near, Tracks(stamp_ns, tracks), area, pose, speed_mps, yaw_rate_radps, FLAT, 2.0)
+    machine = MachineMotion(area, pose, speed_mps, yaw_rate_radps, FLAT)
+    bystanders.update(moving, (), near, Tracks(stamp_ns, tracks), machine, 2.0)
 
 
 @pytest.mark.parametrize("label", [ObstacleClass.UNKNOWN, ObstacleClass.PERSON])
@@ -186,13 +192,13 @@ def test_who_came_to_the_machine_from_ahead_keeps_it_standing(
         one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
         for at_s in (0.0, 0.4):
             rider = person(7.0 - speed_mps * at_s, 0.0, vx=-speed_mps, label=label)
-            one.update((), [rider], (), Tracks(START_NS + round(at_s * 1e9), (rider,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
+            one.update((), [rider], (), Tracks(START_NS + round(at_s * 1e9), (rider,)), at_rest(area), 2.0)
             assert one.coming is None
         stands = person(front_m + 0.5, 0.0)
-        one.update((), (), (), Tracks(START_NS, (stands,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
+        one.update((), (), (), Tracks(START_NS, (stands,)), at_rest(area), 2.0)
         is_near = one.is_near
         left = person(front_m + config.bystanders.away_m + 0.3, 0.0)
-        one.update((), (), (), Tracks(START_NS, (left,)), area, HERE, 0.0, 0.0, FLAT, 2.0)
+        one.update((), (), (), Tracks(START_NS, (left,)), at_rest(area), 2.0)
         assert not one.is_near
         return is_near
 
@@ -221,7 +227,7 @@ def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config
     for _ in range(50):
         see(bystanders, area, somebody_else)
         assert bystanders.is_near
-    bystanders.update((), (), (), None, area, HERE, 0.0, 0.0, FLAT, 2.0)
+    bystanders.update((), (), (), None, at_rest(area), 2.0)
     assert bystanders.is_near
     edge = 4.0 - 0.2 - WING_Y  # gap of the nearest side of the box
     for gap_m, is_near in ((-0.01, True), (0.01, False)):  # the machine has moved on to the right
@@ -267,7 +273,7 @@ def test_who_follows_the_machine_bars_the_pto_as_it_may_stop(
     area: SweptArea, config: SupervisorConfig, speed_mps: float, is_barred: bool
 ) -> None:
     one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-    one.note_close([person(WING_X - 8.0, 0.0, vx=speed_mps)], area, HERE, 2.8, START_NS)
+    one.note_close([person(WING_X - 8.0, 0.0, vx=speed_mps)], at_rest(area).at_speed(2.8), START_NS)
     assert one.bars_pto(START_NS) == is_barred
 
 
@@ -278,13 +284,13 @@ def test_a_body_that_moves_near_the_machine_bars_the_pto(
     assert not bystanders.bars_pto(START_NS)
     for y in around(WING_Y + near_m + 0.2, 0.02):  # half of the box
         one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-        one.note_close([person(WING_X, y, vx=1.0)], area, HERE, 0.0, START_NS)
+        one.note_close([person(WING_X, y, vx=1.0)], at_rest(area), START_NS)
         assert one.bars_pto(START_NS) == (y <= WING_Y + near_m + 0.2 + 1e-9), y
     clutter = person(WING_X, 4.0, vx=1.0, label=ObstacleClass.UNKNOWN, age_s=0.9)
-    bystanders.note_close([clutter], area, HERE, 0.0, START_NS)
+    bystanders.note_close([clutter], at_rest(area), START_NS)
     assert not bystanders.bars_pto(START_NS)
-    bystanders.note_close([clutter, person(WING_X, 4.0, vx=1.0)], area, HERE, 0.0, START_NS)
-    bystanders.note_close([], area, HERE, 0.0, START_NS + hold_ns)
+    bystanders.note_close([clutter, person(WING_X, 4.0, vx=1.0)], at_rest(area), START_NS)
+    bystanders.note_close([], at_rest(area), START_NS + hold_ns)
     assert bystanders.bars_pto(START_NS + hold_ns)
     assert not bystanders.bars_pto(START_NS + hold_ns + 1)
 
@@ -295,13 +301,13 @@ def test_who_runs_towards_the_implement_bars_the_pto_in_time(area: SweptArea, co
         barred_m = 0.0
         for y in around(WING_Y + speed_mps * PTO_STOP_S + 0.2, 0.02):
             one = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-            one.note_close([person(WING_X, y, vy=-speed_mps)], area, HERE, 0.0, START_NS)
+            one.note_close([person(WING_X, y, vy=-speed_mps)], at_rest(area), START_NS)
             barred_m = max(barred_m, y - WING_Y - 0.2) if one.bars_pto(START_NS) else barred_m
         assert barred_m >= speed_mps * PTO_STOP_S, speed_mps
         passing = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-        passing.note_close([person(WING_X, WING_Y + 7.0, vx=speed_mps)], area, HERE, 0.0, START_NS)
+        passing.note_close([person(WING_X, WING_Y + 7.0, vx=speed_mps)], at_rest(area), START_NS)
         leaving = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
-        leaving.note_close([person(WING_X, WING_Y + 5.0, vy=speed_mps)], area, HERE, 0.0, START_NS)
+        leaving.note_close([person(WING_X, WING_Y + 5.0, vy=speed_mps)], at_rest(area), START_NS)
         assert not passing.bars_pto(START_NS)
         assert not leaving.bars_pto(START_NS)
 
@@ -412,17 +418,17 @@ def test_what_is_right_at_a_machine_at_rest_keeps_it(
     ):
         dog = np.array([(rear_m - gap_m, 0.0)])
         for after_ns in (0, least_ns - 1):
-            bystanders.note_returns(dog, None, area, HERE, START_NS + after_ns)
+            bystanders.note_returns(dog, None, at_rest(area), START_NS + after_ns)
             assert not bystanders.is_near
-        bystanders.note_returns(dog, None, area, HERE, START_NS + least_ns)
+        bystanders.note_returns(dog, None, at_rest(area), START_NS + least_ns)
         assert (bystanders.is_near, bystanders.bars_pto(START_NS + least_ns)) == (is_near, is_near)
     fenced = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
     for after_ns in (0, least_ns):  # the fence of the field
-        fenced.note_returns(dog, lambda points: np.zeros(len(points), bool), area, HERE, START_NS + after_ns)
+        fenced.note_returns(dog, lambda points: np.zeros(len(points), bool), at_rest(area), START_NS + after_ns)
         assert not fenced.is_near
     nothing = np.empty((0, 2))
     for after_ns, is_near in ((2 * least_ns, True), (2 * least_ns + 1, False)):  # one scan may miss it
-        bystanders.note_returns(nothing, None, area, HERE, START_NS + after_ns)
+        bystanders.note_returns(nothing, None, at_rest(area), START_NS + after_ns)
         assert bystanders.is_near == is_near
 
 

@@ -314,16 +314,15 @@ def test_bystander_comes_before_what_is_ahead(make: Any, config: SafetyConfig, p
         update=Spy(None), note_close=Spy(None), note_returns=Spy(None), coming=coming
     )
     look(collision_monitor, config)
-    moving, area, _, _, _ = collision_monitor.bystanders.note_close.asked
-    assert (moving, area) == ([ahead, beside], collision_monitor.swept_field.main)
-    moving, approaching, near, tracks, area, _, speed_mps, _, braking, predicted_s = (
-        collision_monitor.bystanders.update.asked
-    )
-    assert (moving, approaching, near, braking) == ([beside], [ahead], [], config.braking.flat)
+    moving, machine, _ = collision_monitor.bystanders.note_close.asked
+    assert (moving, machine.area) == ([ahead, beside], collision_monitor.swept_field.main)
+    assert (machine.speed_mps, machine.yaw_rate_radps) == (2.0, odometry().yaw_rate_radps)
+    assert machine.braking == config.braking.flat
+    moving, approaching, near, tracks, _, predicted_s = collision_monitor.bystanders.update.asked
+    assert (moving, approaching, near, tracks) == ([beside], [ahead], [], SEEN.tracks)
+    assert predicted_s == parts.tracks_near.asked[3]
     (returns, *_), hits = collision_monitor.bystanders.note_returns.asked, collision_monitor.sources.lidar_hits_odom_m
     assert len(returns) == 0
-    assert (tracks, area) == (SEEN.tracks, collision_monitor.swept_field.main)
-    assert (speed_mps, predicted_s) == (2.0, parts.tracks_near.asked[3])
     assert collision_monitor.critical_object() == coming
     collision_monitor.bystanders.coming = None
     look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + 1, ())), speed_mps=0.0)
