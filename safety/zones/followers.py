@@ -18,7 +18,8 @@ from safety.zones.tracked_obstacles import velocity_sigma_mps
 
 SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
 NEAR_M = 5.0  # farther away nobody follows
-CLOSING_MPS = 1.0  # of a vehicle that does not keep its distance
+CLOSING_MPS = 0.7  # of one that does not keep its distance
+BREAK_NS = 300_000_000  # in which the velocity of one that follows may be measured too low
 MARGIN_S = 0.5  # for which the machine stands before they arrive
 
 
@@ -27,7 +28,7 @@ class Followers:
 
     def __init__(self, config: BystanderConfig, tracked: TrackedConfig) -> None:
         self._config, self._tracked = config, tracked
-        self._since_ns: dict[int, int] = {}
+        self._spans_ns: dict[int, tuple[int, int]] = {}  # first and last time
 
     def update(
         self, moving: Iterable[Track], gaps_m: Mapping[int, float], machine: MachineMotion, stamp_ns: int
@@ -37,16 +38,17 @@ class Followers:
             track for track in moving
             if follows(track, machine) and self._is_reached(track, gaps_m[track.id], machine)
         ]  # fmt: skip
-        self._since_ns = {track.id: self._since_ns.get(track.id, stamp_ns) for track in found}
+        recent = {number: span for number, span in self._spans_ns.items() if stamp_ns - span[1] <= BREAK_NS}
+        self._spans_ns = recent | {track.id: (recent.get(track.id, (stamp_ns,))[0], stamp_ns) for track in found}
         least_ns = self._config.min_following_s * 1e9
-        return [track for track in found if stamp_ns - self._since_ns[track.id] >= least_ns]
+        return [track for track in found if stamp_ns - self._spans_ns[track.id][0] >= least_ns]
 
     def _is_reached(self, track: Track, gap_m: float, machine: MachineMotion) -> bool:
-        """Whether a track reaches the machine while it brakes, or soon after; the driver of a vehicle brakes too."""
+        """Whether a track reaches the machine while it brakes, or soon after; who keeps a distance brakes too."""
         speed_mps, braking = machine.speed_mps, machine.braking
         follower_mps = math.hypot(*track.velocity_mps[:2].tolist())
         keeps_distance = gap_m > self._config.away_m and follower_mps < speed_mps + CLOSING_MPS
-        if gap_m > NEAR_M or (track.label is ObstacleClass.VEHICLE and keeps_distance):
+        if gap_m > NEAR_M or keeps_distance:
             return False
         last_s = min(self._tracked.max_horizon_s, stopping_time(speed_mps, braking) + MARGIN_S)
         times_s = np.linspace(0.0, last_s, self._tracked.steps)
