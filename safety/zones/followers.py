@@ -17,6 +17,7 @@ from safety.zones.machine_motion import MachineMotion
 from safety.zones.tracked_obstacles import velocity_sigma_mps
 
 SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
+FLAT = 0.2  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
 NEAR_M = 5.0  # farther away nobody follows
 CLOSING_MPS = 0.7  # of one that does not keep its distance
 BREAK_NS = 300_000_000  # in which the velocity of one that follows may be measured too low
@@ -58,8 +59,9 @@ class Followers:
 
 
 def follows(track: Track, machine: MachineMotion) -> bool:
-    """Whether a track with a class keeps its place behind a machine that moves and turns, or comes straight on."""
-    if track.label is ObstacleClass.UNKNOWN:
+    """Whether a track keeps its place behind a machine that moves and turns, or comes straight on; no dust, no bird."""
+    is_flat = float(track.size_m[2]) < FLAT * float(np.max(track.size_m[:2]))
+    if track.label is ObstacleClass.UNKNOWN or is_flat:
         return False
     side, turned = machine.area.direction, np.array([0.0, 0.0, machine.pose_odom[2]])
     x, y = from_frame(machine.pose_odom, track.p_odom_m[None, :2])[0]

@@ -450,12 +450,14 @@ def test_who_follows_through_a_turn(vehicle: Vehicle, implement: MountedImplemen
     """A roe deer 1 m behind keeps its place while the machine turns at 5 m; one that crosses its track there passes."""
     area = swept(vehicle, implement, config, 0.2)
     deer, dust = ObstacleClass.ANIMAL, ObstacleClass.UNKNOWN
-    for at, velocity, label, comes in (
-        ((-4.0, 1.0), (1.76, -1.6), deer, True),
-        ((-4.0, 1.0), (1.76, 1.6), deer, False),  # crosses
-        ((-4.0, 1.0), (1.76, -1.6), dust, False),
-        ((0.0, -5.0), (4.4, 0.0), deer, False),  # beside the machine
+    body, gull = (0.4, 0.3, 0.5), (1.0, 0.3, 0.15)
+    for at, velocity, label, size, comes in (
+        ((-4.0, 1.0), (1.76, -1.6), deer, body, True),
+        ((-4.0, 1.0), (1.76, 1.6), deer, body, False),  # crosses
+        ((-4.0, 1.0), (1.76, -1.6), dust, body, False),
+        ((-4.0, 1.0), (1.76, -1.6), deer, gull, False),
+        ((0.0, -5.0), (4.4, 0.0), deer, body, False),  # beside the machine
     ):
-        behind = person(*at, *velocity, label=label, size=(0.4, 0.3, 0.5))
+        behind = person(*at, *velocity, label=label, size=size)
         bystanders = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
         assert see(bystanders, area, behind, speed_mps=2.2, yaw_rate_radps=0.44) == comes
