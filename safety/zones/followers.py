@@ -17,7 +17,7 @@ from safety.zones.machine_motion import MachineMotion
 from safety.zones.tracked_obstacles import velocity_sigma_mps
 
 SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
-FLAT = 0.2  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
+FLAT = 0.3  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
 NEAR_M = 5.0  # farther away nobody follows
 CLOSING_MPS = 0.7  # of one that does not keep its distance
 BREAK_NS = 300_000_000  # in which the velocity of one that follows may be measured too low
