@@ -110,8 +110,8 @@ class ModeMachine:
         self._warned.update(situation.now_ns, False)
         self._clear.update(situation.now_ns, False)
         if self.mode is Mode.OBSTACLE_STOP:
-            is_hidden = situation.is_departure_unresolved and decision.passable_mps >= self._config.creep_mps
-            self._cause = UNCONFIRMED if is_hidden else decision.blocking.code
+            is_passable = before is Mode.START_WARNING and decision.passable_mps >= self._config.creep_mps
+            self._cause = UNCONFIRMED if is_passable else decision.blocking.code
         if self.mode is Mode.MANUAL:
             self._require_confirmation()
         if self.mode is Mode.START_WARNING and not is_resuming:
