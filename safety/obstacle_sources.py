@@ -28,7 +28,6 @@ from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.sources.radar import RadarSource
 from safety.sources.ultrasonic import UltrasonicSource, is_confirmed_by_track
-from safety.zones.departure import is_near
 from safety.zones.footprint import Box, Footprint
 from safety.zones.protective_field import FREE, Clearance, SweptField, box_of, clearance_to
 from safety.zones.tracked_obstacles import KnownStructureFilter
@@ -142,8 +141,6 @@ class ObstacleSources:
         if speed_mps <= kmh(self._config.ultrasonic.max_speed_kmh) and not in_plants:
             near_m = self._config.ultrasonic.track_match_m
             arcs = [one.echo_arc_odom_m for one in self.ultrasonics if len(one.echo_arc_odom_m)]
-            hits = self.lidar_hits_odom_m  # in fog a fence beside the machine has some, but hardly a track
-            arcs = [arc for arc in arcs if not is_near(hits, arc, near_m).any()]
             arcs = [arc for arc in arcs if not is_confirmed_by_track(arc, tracks, near_m)]
             found += [self._echo_clearance(arc, swept_field, pose_odom, is_known) for arc in arcs]
         hits = np.concatenate([one.triggering_points_base_m for one in found])
