@@ -22,7 +22,7 @@ from safety.config import BystanderConfig, TrackedConfig
 from safety.zones.followers import Followers
 from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, predicted
+from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, length_m, predicted
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,7 @@ class Bystanders:
             if track.label in MAY_WALK and self._is_coming(track, machine.at_speed(0.0), times_s)
         ]  # fmt: skip
         lasting = self._lasting(found, stamp_ns)
-        gaps_m = {track.id: _gap_m(place_of(track), machine) for track in beside}
-        followers = self._followers.update(beside, gaps_m, machine, stamp_ns)
+        followers = self._followers.update(beside, lambda one: _gap_m(place_of(one), machine), machine, stamp_ns)
         coming = [track for track in lasting if track.id in sides] + followers
         self.coming = CriticalObject(0.0, coming[0].label, coming[0].id) if coming else None
         seen = {} if tracks is None else {track.id: track for track in tracks.tracks if track.is_confirmed}
@@ -130,12 +129,12 @@ class Bystanders:
             number: place
             for number, place in followed.items()
             if _gap_m(place, machine) <= (self._config.away_m if place.is_seen else self._config.lost_m)
-        } | {track.id: place_of(track) for track in (*lasting, *coming, *self._arrived(near, machine))}
+        } | {track.id: place_of(track) for track in (*lasting, *followers, *self._arrived(near, machine))}
 
     def _arrived(self, near: Iterable[Track], machine: MachineMotion) -> list[Track]:
         """Those that have come nearer to the machine at rest since they were first seen there."""
         config = self._config
-        bodies = [track for track in near if float(np.max(track.size_m[:2])) <= self._tracked.max_unclassified_length_m]
+        bodies = [track for track in near if length_m(track) <= self._tracked.max_unclassified_length_m]
         gaps_m = {track.id: _gap_m(place_of(track), machine) for track in bodies}
         self._first_gaps_m = {number: self._first_gaps_m.get(number, gap_m) for number, gap_m in gaps_m.items()}
         return [
@@ -175,7 +174,7 @@ class Bystanders:
         if track.label is not ObstacleClass.UNKNOWN:
             return True
         is_edge = float(track.size_m[2]) > self._config.max_unclassified_height_m
-        is_edge = is_edge and float(np.max(track.size_m[:2])) < self._tracked.max_unclassified_length_m
+        is_edge = is_edge and length_m(track) < self._tracked.max_unclassified_length_m
         age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
         return age_s >= self._config.min_unclassified_age_s and not is_edge
 

@@ -5,7 +5,7 @@ stops for something else. It has to stand before they arrive.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from messages.perception import ObstacleClass, Track
 from safety.config import BystanderConfig, TrackedConfig
 from safety.stopping_distance import braking_travel_m, stopping_time
 from safety.zones.machine_motion import MachineMotion
-from safety.zones.tracked_obstacles import velocity_sigma_mps
+from safety.zones.tracked_obstacles import length_m, velocity_sigma_mps
 
 SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
 FLAT = 0.3  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
@@ -32,12 +32,12 @@ class Followers:
         self._spans_ns: dict[int, tuple[int, int]] = {}  # first and last time
 
     def update(
-        self, moving: Iterable[Track], gaps_m: Mapping[int, float], machine: MachineMotion, stamp_ns: int
+        self, moving: Iterable[Track], gap_m: Callable[[Track], float], machine: MachineMotion, stamp_ns: int
     ) -> list[Track]:
-        """Followers among moving tracks with their distances from machine and implement, by track number."""
+        """Followers among moving tracks; `gap_m` gives the distance of one from machine and implement."""
         found = [
             track for track in moving
-            if follows(track, machine) and self._is_reached(track, gaps_m[track.id], machine)
+            if follows(track, machine) and self._is_reached(track, gap_m(track), machine)
         ]  # fmt: skip
         recent = {number: span for number, span in self._spans_ns.items() if stamp_ns - span[1] <= BREAK_NS}
         self._spans_ns = recent | {track.id: (recent.get(track.id, (stamp_ns,))[0], stamp_ns) for track in found}
@@ -60,7 +60,7 @@ class Followers:
 
 def follows(track: Track, machine: MachineMotion) -> bool:
     """Whether a track keeps its place behind a machine that moves and turns, or comes straight on; no dust, no bird."""
-    is_flat = float(track.size_m[2]) < FLAT * float(np.max(track.size_m[:2]))
+    is_flat = float(track.size_m[2]) < FLAT * length_m(track)
     if track.label is ObstacleClass.UNKNOWN or is_flat:
         return False
     side, turned = machine.area.direction, np.array([0.0, 0.0, machine.pose_odom[2]])
