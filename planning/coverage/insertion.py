@@ -13,7 +13,7 @@ from geometry.pose2 import Pose2
 from planning.coverage.pass_route import turn_pieces
 from planning.coverage.work_line import WorkLine
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.search import STEP_M, Connection, ConnectionRequest, Leg, bounds_s
+from planning.turns.search import Connection, ConnectionRequest, Leg, bounds_s
 
 TRIED = 10  # places of a tour to which turns are searched
 TRIED_ALONG, MIN_ALONG_M = 3, 10.0  # to which a way along the headland passes is searched, and length of such a line
@@ -44,7 +44,7 @@ class Stop:
         """Way and line, and the way back of an excursion."""
         line, way = self.line, self.way.legs
         work = RoutePiece(line.section_type, line.number, self.leg, True)
-        back = [backwards(leg) for leg in ((self.leg, *way) if self.is_inwards else (*way, self.leg))][::-1]
+        back = [leg.backwards for leg in ((self.leg, *way) if self.is_inwards else (*way, self.leg))][::-1]
         before, after = (back, way) if self.is_inwards else (way, back if self.is_excursion else ())
         return [*self._turns(before), work, *self._turns(after)]
 
@@ -82,15 +82,9 @@ class Tour:
         return sum(stop.way.time_s * (1 + stop.is_excursion) for stop in self.stops)
 
 
-def backwards(leg: Leg) -> Leg:
-    """The same poses in the opposite order and direction of travel."""
-    return Leg(-leg.direction, leg.p_map_m[::-1], leg.heading_rad[::-1], leg.curvature_radpm[::-1])
-
-
 def inserted(connector: PathConnector, tour: Tour, home: Pose2 | None, lines: Sequence[WorkLine]) -> Tour:
     """The tour with those of the lines, longest first, to which a turn is found."""
-    length = {id(line): max(len(leg.p_map_m) for leg in line.legs if leg is not None) for line in lines}
-    left = sorted(lines, key=lambda line: -length[id(line)])
+    left = sorted(lines, key=lambda line: -line.length_m)
     while left:
         for line in left:
             found = _between(connector, tour, home, line) or _excursion(connector, tour, line)
@@ -133,7 +127,7 @@ def _excursion(connector: PathConnector, tour: Tour, line: WorkLine) -> Tour | N
     places = [k for k in range(len(tour.stops) + 1) if k == len(tour.stops) or not tour.stops[k].is_excursion]
     options = [(at, r, i) for at in places for r in (False, True) if line.legs[r] is not None for i in (False, True)]
     near = _nearest(connector, tour, line, options)
-    is_long = max(len(leg.p_map_m) for leg in line.legs if leg is not None) * STEP_M > MIN_ALONG_M
+    is_long = line.length_m > MIN_ALONG_M
     for is_thorough, tried in ((False, near[: 2 * TRIED]), (True, near[: 2 * TRIED_ALONG * is_long])):
         for at, is_reversed, is_inwards in tried:
             stop = _reached(connector, tour, line, at, is_reversed, is_inwards, is_thorough)

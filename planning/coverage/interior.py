@@ -49,14 +49,18 @@ def fill_bare(
     `insert` returns whether it took any of some swaths, for at most a time of ways to them.
     """
     covered = shapely.union_all([around, *(area_of(leg, rig) for leg in legs)])
-    left = _workable(drivable, rig).difference(covered)
-    found = swaths_over(open_by(left, WIDE * rig.working_width_m / 2.0), rig, work, space)
+    found = swaths_over(wide_bare(drivable, rig, covered), rig, work, space)
     insert(found, math.inf)
-    strips = shapely.union_all([area_worked(s, rig) for s in found])
-    share = shapely.union_all([covered, strips]).intersection(drivable.free).area / drivable.free.area
-    remains = open_by(left.difference(strips), REMAINS_M / 2.0)
+    covered = shapely.union_all([covered, *(area_worked(s, rig) for s in found)])
+    share = covered.intersection(drivable.free).area / drivable.free.area
+    remains = open_by(_workable(drivable, rig).difference(covered), REMAINS_M / 2.0)
     worth = worth_of(rig, share < rig.config.small_remains_share)
     swaths_over_remains(remains, rig, space, worth, lambda swath, most_s: insert([swath], most_s))
+
+
+def wide_bare(drivable: DrivableArea, rig: Rig, covered: BaseGeometry) -> BaseGeometry:
+    """Wide parts of what is not covered."""
+    return open_by(_workable(drivable, rig).difference(covered), WIDE * rig.working_width_m / 2.0)
 
 
 def area_worked(swath: AnySwath, rig: Rig) -> BaseGeometry:

@@ -5,11 +5,12 @@ Regions behind narrow passages are worked first: the rig drives there folded, an
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
 from shapely.geometry import Point, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
 from geometry.arrays import Float64
@@ -20,15 +21,17 @@ from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass, pass_coverage
-from planning.coverage.insertion import Tour, inserted
-from planning.coverage.interior import AnySwath, fill_bare
+from planning.coverage.insertion import Stop, Tour, inserted
+from planning.coverage.interior import AnySwath, area_worked, fill_bare, wide_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, places_on, turn_pieces
 from planning.coverage.refill import RefillCut, with_refills
+from planning.coverage.remains import worth_of
 from planning.coverage.swath import directions_of
 from planning.coverage.swath_order import is_ordered
 from planning.coverage.work_line import WorkLine, lines_of
 from planning.field.drivable_area import describe
+from planning.rig import Rig
 from planning.turns.connector import PathConnector, RoutePiece
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import STEP_M, Connection, Leg, straight
@@ -37,6 +40,7 @@ from planning.turns.transport import TransportWays
 CENTRE_ERROR_M = 0.1
 LEAST_RADIUS_SHARE = 0.95  # of the radius of the rig, in corners of a lane: a fillet in steps is 1 % sharper
 PLACES = 4  # of a headland pass to which the swaths before it may lead
+MIN_VISITED_M = 4.0  # line that the folded rig is driven to
 FILLINGS = 3  # times that what a tour leaves bare gets swaths, at most
 
 
@@ -61,6 +65,11 @@ class Route:
     moved: int = 0
     refills: Sequence[RefillCut] = ()
 
+    def area(self, rig: Rig) -> BaseGeometry:
+        """Area that swaths and passes work."""
+        passes = (pass_coverage(p, rig) for p in self.headland_passes)
+        return shapely.union_all([*passes, *(area_worked(s, rig) for s in self.swaths)])
+
 
 def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     """Complete route, the start is in the first region; raises FieldError where no connection is found.
@@ -70,14 +79,13 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     connector = regions[0].connector
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     entry, pose = _entry(connector, lane)
-    visits, number = list[Route](), sum(len(region.swaths) for region in regions)
-    ways = TransportWays(pose, transport, connector.rig.turn_times)
+    ways, visits = TransportWays(pose, transport, connector.rig.turn_times), list[Route]()
     for region in regions[1:]:
-        visit = _visit(region, ways, work, number)
-        if visit is not None:
-            visits.append(visit)
-            number = max([number, *(s.number + 1 for s in visit.swaths)])
-    tour, found = _worked(regions[0], pose, None if lane is None else _reversed_end(lane), work, number)
+        visits.append(_visit(region, ways, work, _free_number(regions, visits)))
+    home = None if lane is None else _reversed_end(lane)
+    tour, found = _worked(regions[0], pose, home, work, _free_number(regions, visits))
+    if connector.rig.trailer is None:
+        visits += _visits_to_lines(regions, ways, work, [*visits, found])
     back = [] if lane is None else _return(connector, tour, lane)
     routes = [*visits, found]
     worked = [piece for one in routes for piece in one.pieces]
@@ -88,6 +96,12 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
         pieces, [s for one in routes for s in one.swaths], [p for one in routes for p in one.headland_passes],
         sum(one.moved for one in routes), cuts,
     )  # fmt: skip
+
+
+def _free_number(regions: Sequence[Region], routes: Sequence[Route]) -> int:
+    """Number from which swaths have none."""
+    planned = sum(len(region.swaths) for region in regions)
+    return max([planned, *(s.number + 1 for one in routes for s in one.swaths)])
 
 
 def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
@@ -170,10 +184,14 @@ def _filled_route(
             if len(filled.tour.stops) == len(tour.stops):
                 break
             tour, number = filled.tour, filled.number
+    return tour, _route_of(tour, tour.pieces, closed)
+
+
+def _route_of(tour: Tour, pieces: list[RoutePiece], closed: Sequence[HeadlandPass] = ()) -> Route:
+    """Route with the pieces of a tour and closed passes."""
     sources = [stop.line.source for stop in tour.stops]
     passes = [*closed, *(s for s in sources if isinstance(s, HeadlandPass))]
-    swaths = [s for s in sources if isinstance(s, AnySwath)]
-    return tour, Route(tour.pieces, swaths, passes, tour.moved)
+    return Route(pieces, [s for s in sources if isinstance(s, AnySwath)], passes, tour.moved)
 
 
 @dataclass
@@ -196,23 +214,89 @@ class _Filled:
         return True
 
 
-def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route | None:
-    """Folded to a pose of a region, its work from there to there, and folded back; None where it is not reached."""
+def _visit(region: Region, ways: TransportWays, work: Work, number: int) -> Route:
+    """Folded to a pose of a region, its work from there to there, and folded back; empty where it is not reached."""
     connector, pose = region.connector, _room(region.connector)
     there, back = (None, None) if pose is None else (ways.to(pose), ways.back(pose))
     if pose is None or there is None or back is None:
-        return None
+        return Route([], [], [])
     tour, found = _worked(region, pose, pose, work, number)
     last, behind_m = tour.place(len(tour.stops))
     end = connector.find(connector.home_request(last, pose, behind_m))
     if end is None:
-        return None
+        return Route([], [], [])
     pieces = [*_transport_pieces(there), *found.pieces, *turn_pieces(end, -1), *_transport_pieces(back)]
     return replace(found, pieces=pieces)
 
 
-def _transport_pieces(way: Connection) -> list[RoutePiece]:
-    return [RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way.legs]
+def _visits_to_lines(
+    regions: Sequence[Region], ways: TransportWays, work: Work, routes: Sequence[Route]
+) -> list[Route]:
+    """Folded to lines that `routes` do not work, longest first, and back from where each leads.
+
+    With reversing also to swaths over the wide parts that then are bare.
+    """
+    driven = {id(line) for one in routes for line in (*one.swaths, *one.headland_passes)}
+    visits = _Visits(regions[0].connector, ways, _free_number(regions, routes))
+    for region in regions:
+        lines = _lines(region.connector, region.swaths, [])
+        visits.add([line for line in lines if id(line.source) not in driven])
+    rig, space, drivable = visits.connector.rig, visits.connector.space, visits.connector.drivable
+    whole = replace(drivable, free=shapely.union_all([r.connector.drivable.free for r in regions]))
+    covered = shapely.union_all([one.area(rig) for one in (*routes, *visits.routes)])
+    if rig.has_reverse and parts(wide_bare(whole, rig, covered), worth_of(rig, False).least_m2):
+        fill_bare(whole, rig, work, space, covered, (), visits.insert)
+    return visits.routes
+
+
+@dataclass
+class _Visits:
+    """Routes to lines of a region and back, driven folded from line to line; swaths are numbered from `number`."""
+
+    connector: PathConnector
+    ways: TransportWays
+    number: int
+    routes: list[Route] = field(default_factory=list)
+
+    def insert(self, swaths: Sequence[AnySwath], most_s: float) -> bool:
+        """Adds visits to swaths that are each reached in at most some time; returns whether to any."""
+        numbered, before = [replace(s, number=self.number + k) for k, s in enumerate(swaths)], len(self.routes)
+        self.add(lines_of(numbered, (), -self.connector.rig.working_x_m), most_s)
+        self.number += len(swaths)
+        return len(self.routes) > before
+
+    def add(self, lines: Sequence[WorkLine], most_s: float = math.inf) -> None:
+        """Adds visits to those of the lines that are each reached in at most some time, longest first."""
+        left = sorted((line for line in lines if line.length_m > MIN_VISITED_M), key=lambda line: -line.length_m)
+        while left:
+            line, *others = left
+            visit = _visit_to_line(self.connector, self.ways, line, others, most_s)
+            worked = () if visit is None else (*visit.swaths, *visit.headland_passes)
+            left = [other for other in others if not any(other.source is w for w in worked)]
+            self.routes += [] if visit is None else [visit]
+
+
+def _visit_to_line(
+    connector: PathConnector, ways: TransportWays, line: WorkLine, others: Sequence[WorkLine], most_s: float
+) -> Route | None:
+    """Folded to the start of a line, over it and those of the others to which it leads, and folded back.
+
+    None where it is not reached, or where the folded ways take more than some time.
+    """
+    for is_reversed in (False, True):
+        ends = line.ends(is_reversed)
+        there = None if ends is None else ways.to(ends[0])
+        if ends is None or there is None:
+            continue
+        tour = inserted(connector, Tour(ends[0], [Stop(line, is_reversed, Connection((), 0.0))]), None, others)
+        back = ways.back(tour.place(len(tour.stops))[0])
+        if back is not None and ways.time_s((*there, *back)) < most_s:
+            return _route_of(tour, [*_transport_pieces(there), *tour.pieces, *_transport_pieces(back)])
+    return None
+
+
+def _transport_pieces(way: Sequence[Leg]) -> list[RoutePiece]:
+    return [RoutePiece(PathSectionType.TURN, -1, leg, False, True) for leg in way]
 
 
 def _room(connector: PathConnector) -> Pose2 | None:

@@ -9,7 +9,7 @@ from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import HeadlandPass
 from planning.coverage.interior import AnySwath
-from planning.turns.search import Leg
+from planning.turns.search import STEP_M, Leg
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,11 @@ class WorkLine:
     number: int
     legs: tuple[Leg | None, Leg | None]
     source: AnySwath | HeadlandPass
+
+    @property
+    def length_m(self) -> float:
+        """Length in the direction in which it is longer."""
+        return max(len(leg.p_map_m) for leg in self.legs if leg is not None) * STEP_M
 
     def straight_m(self, is_reversed: bool) -> float:
         """Length in one direction of a straight line, 0 of others."""

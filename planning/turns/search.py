@@ -82,6 +82,11 @@ class Leg:
         """The same way driven the other way round, turned by half a circle."""
         return Leg(self.direction, self.p_map_m[::-1], self.heading_rad[::-1] + math.pi, -self.curvature_radpm[::-1])
 
+    @property
+    def backwards(self) -> "Leg":
+        """The same poses in the opposite order and direction of travel."""
+        return Leg(-self.direction, self.p_map_m[::-1], self.heading_rad[::-1], self.curvature_radpm[::-1])
+
 
 @dataclass(frozen=True)
 class Connection:

@@ -4,6 +4,7 @@ Cheapest paths over a grid, which keep away from edges, give poses to pass; near
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +19,8 @@ from geometry.polygon import shrink
 from geometry.polyline import headings, resample
 from geometry.pose2 import Pose2
 from planning.turns.free_space import FreeSpace
-from planning.turns.search import Connection, ConnectionRequest, TurnTimes, find_turn
+from planning.turns.search import STEP_M as LEG_STEP_M
+from planning.turns.search import Connection, ConnectionRequest, Leg, TurnTimes, find_turn
 
 MIN_CELL_M, MAX_CELLS = 0.5, 1_000_000
 EDGE_COST = 4.0  # of a cell at an edge, in cells far from edges
@@ -35,17 +37,31 @@ class TransportWays:
     space: FreeSpace
     times: TurnTimes
 
-    def to(self, pose: Pose2) -> Connection | None:
-        """Way to a pose, or None."""
+    def to(self, pose: Pose2) -> tuple[Leg, ...] | None:
+        """Way to a pose, or None; with reversing also the way back from it backwards, where no other is found."""
+        return self._there(pose) or self._backwards(self._back(pose))
+
+    def back(self, pose: Pose2) -> tuple[Leg, ...] | None:
+        """Way from a pose back, or None; with reversing also the way to it backwards, where no other is found."""
+        return self._back(pose) or self._backwards(self._there(pose))
+
+    def time_s(self, legs: Iterable[Leg]) -> float:
+        """Time of legs, without changes of direction."""
+        speed_mps = {1: self.times.forward_mps, -1: self.times.reverse_mps}
+        return sum(LEG_STEP_M * len(leg.p_map_m) / speed_mps[leg.direction] for leg in legs)
+
+    def _there(self, pose: Pose2) -> tuple[Leg, ...] | None:
         points = self._guide(pose)
         return None if points is None else self._way(self.hub, pose, points)
 
-    def back(self, pose: Pose2) -> Connection | None:
-        """Way from a pose back, or None."""
+    def _back(self, pose: Pose2) -> tuple[Leg, ...] | None:
         points = self._guide(pose)
         return None if points is None else self._way(pose, self.hub, points[::-1])
 
-    def _way(self, start: Pose2, goal: Pose2, points_m: Float64) -> Connection | None:
+    def _backwards(self, way: tuple[Leg, ...] | None) -> tuple[Leg, ...] | None:
+        return None if way is None or not self.times.has_reverse else tuple(leg.backwards for leg in reversed(way))
+
+    def _way(self, start: Pose2, goal: Pose2, points_m: Float64) -> tuple[Leg, ...] | None:
         """Fastest way that passes poses along a polyline (N, 2) from one of its ends to the other."""
         poses, straight_m = [start, *_poses(points_m), goal], self.space.smoothing_m / 2.0  # no step of curvature
         ways: list[tuple[float, tuple[Connection, ...]] | None] = [(0.0, ())]
@@ -58,7 +74,7 @@ class TransportWays:
                     found += [(way[0] + turn.time_s, (*way[1], turn))] if turn is not None else []
             ways.append(min(found, key=lambda f: f[0], default=None))
         last = ways[-1]
-        return None if last is None else Connection(tuple(leg for turn in last[1] for leg in turn.legs), last[0])
+        return None if last is None else tuple(leg for turn in last[1] for leg in turn.legs)
 
     def _guide(self, goal: Pose2) -> Float64 | None:
         """Cheapest path over the grid to a pose, (N, 2), or None."""

@@ -383,3 +383,18 @@ def test_part_behind_a_passage_is_reached(
         assert math.remainder(a.heading_rad[-1] - b.heading_rad[0], 2 * math.pi) == pytest.approx(0.0, abs=0.01)
     driven = {s.line for p in plan.paths for s in p.sections if s.section_type is PathSectionType.SWATH}
     assert sorted(driven) == sorted(s.number for s in plan.swaths)
+
+
+def test_dead_end_behind_a_passage_is_left_backwards(
+    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """A strip in which a rig of 6.1 m works and cannot turn round, behind a neck that it passes folded."""
+    assert mission.work is not None
+    strip, neck = box(67.0, 20.0, 127.0, 27.5), box(60.0, 20.0, 67.0, 24.0)
+    field = as_polygon(shapely.union_all([SMALL, neck, strip]))
+    outline = FieldOutline("tail", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), field)
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    plan = plan_field(site_of(outline, vehicle, harrow, work), vehicle, harrow, work, planning.planner, 0)
+    assert plan.planned_area.intersection(strip).area > 0.8 * strip.area
+    folded = [path for path in plan.paths if path.is_transport and strip.contains(Point(*path.p_map_m[0]))]
+    assert any(path.direction < 0 for path in folded)
