@@ -1,13 +1,14 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 from shapely.geometry import LineString
 
+from geometry.arrays import runs_of
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
@@ -18,6 +19,7 @@ STRIDE = 25  # points of a pass between two candidates, 2.5 m
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
+TIGHT = 0.95  # of the curvature of the turning radius
 MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 10, 6, 12, 8, 2
 NO_LINK_S = 100.0
 NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
@@ -56,9 +58,13 @@ def drive_passes(
     cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in rings]
-    if connector.rig.trailer is not None:
-        for ring, entries in left:
+    for ring, entries in left:
+        if connector.rig.trailer is not None:
             _follow(connector, ring, entries)
+        else:
+            bends = _bends(ring, connector.rig.radius_m)
+            connector.in_bends.update(pose for entry in bends for pose in (entry.start, entry.end))
+            entries += bends
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
@@ -222,16 +228,33 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
         level = np.abs(curvature[before]) < STRAIGHT_RADPM
         if level.any():
             flat.append(int(before[int(np.argmax(level))]))
-    spans = [(t.before.index, (t.behind.index - t.before.index) % n) for t in ring.turns]
-
-    def driven(points: Iterable[int]) -> list[int]:
-        return [k for k in points if all((k - first) % n > length for first, length in spans)]
-
-    apart = [k for k in driven(flat) if all(APART < (f.index - k) % n < n - APART for f in ring.fills)]
+    flat = [k for k in flat if _is_driven(ring, k)]
     straightest = (int(k) for k in candidates[np.argsort(around[candidates], kind="stable")])
-    points = apart or driven(flat) or driven(straightest)[:3]
+    points = [k for k in flat if _is_apart(ring, k)] or flat or [k for k in straightest if _is_driven(ring, k)][:3]
     corners = [_Entry(t.behind.index, _end(ring, t.behind), _end(ring, t.before), t) for t in ring.turns]
     return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
+
+
+def _is_driven(ring: HeadlandPass, k: int) -> bool:
+    """Whether no turn is driven in place of a point of a pass."""
+    n = len(ring.points_m) - 1
+    return all((k - t.before.index) % n > (t.behind.index - t.before.index) % n for t in ring.turns)
+
+
+def _is_apart(ring: HeadlandPass, k: int) -> bool:
+    """Whether a point of a pass is not beside a fill."""
+    n = len(ring.points_m) - 1
+    return all(APART < (f.index - k) % n < n - APART for f in ring.fills)
+
+
+def _bends(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
+    """The middles of bends to the left, away from the edge, apart from fills and turns."""
+    is_tight = ring.curvature_radpm[:-1] > TIGHT / radius_m
+    first = int(np.argmin(is_tight))
+    n = len(is_tight)
+    middles = [(first + (a + b) // 2) % n for a, b in runs_of(np.roll(is_tight, -first))]
+    apart = (k for k in middles if _is_driven(ring, k) and _is_apart(ring, k))
+    return [_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in apart]
 
 
 def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:

@@ -398,3 +398,22 @@ def test_dead_end_behind_a_passage_is_left_backwards(
     assert plan.planned_area.intersection(strip).area > 0.8 * strip.area
     folded = [path for path in plan.paths if path.is_transport and strip.contains(Point(*path.p_map_m[0]))]
     assert any(path.direction < 0 for path in folded)
+
+
+@pytest.mark.parametrize("name", ["rectangle", "pond"])
+def test_pass_along_the_edge_is_left_in_a_bend(
+    name: str, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """Forwards, where on a straight the tail would swing over the edge."""
+    assert mission.work is not None
+    polygon = {
+        "rectangle": box(0.0, 0.0, 200.0, 100.0),
+        "pond": box(0.0, 0.0, 240.0, 150.0) - Point(120, 75).buffer(25),
+    }
+    datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0, "fold": None})
+    work = mission.work.model_copy(update={"turns": "forward", "headland_passes": 4})
+    outline = FieldOutline(name, datum, as_polygon(polygon[name]))
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert 0 in {p.number for p in plan.headland_passes if p.is_closed}
+    assert plan.planned_share > 0.98

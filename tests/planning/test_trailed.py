@@ -105,11 +105,11 @@ def test_check_finds_what_a_mounted_plan_would_do_wrong(
     vehicle: Vehicle, harrow: MountedImplement, disc_harrow: TrailedImplement, planning: PlanningConfig
 ) -> None:
     mounted = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0, "fold": None})
-    site = site_around(FIELDS["rectangle"], vehicle, mounted)
+    site = site_around(FIELDS["L"], vehicle, mounted)
     plan = plan_field(site, vehicle, mounted, WORK, planning.planner, 1)
-    free = plan.drivable.allowed.union(FIELDS["rectangle"].buffer(-WORK.boundary_margin_m))
-    assert check(plan.paths, FIELDS["rectangle"], free, vehicle, mounted).outside_m == 0.0
-    wrong = check(plan.paths, FIELDS["rectangle"], free, vehicle, disc_harrow)
+    free = plan.drivable.allowed.union(FIELDS["L"].buffer(-WORK.boundary_margin_m))
+    assert check(plan.paths, FIELDS["L"], free, vehicle, mounted).outside_m == 0.0
+    wrong = check(plan.paths, FIELDS["L"], free, vehicle, disc_harrow)
     assert wrong.off_line_m > 0.3
     assert wrong.outside_m > 0.02
 
