@@ -55,6 +55,12 @@ class RangeImage:
         el, az = self.elevation_rad, self.azimuth_rad
         return np.cos(el), np.sin(el), np.cos(az), np.sin(az)
 
+    def without(self, pixels: Int64) -> "RangeImage":
+        """The image without the returns at places (K,) in the flattened image."""
+        ranges_mm = self.ranges_mm.copy()
+        ranges_mm.reshape(-1)[pixels] = 0
+        return replace(self, ranges_mm=ranges_mm)
+
 
 def range_image(ranges_mm: UInt16, elevation_rad: Float64, azimuth_rad: Float64) -> RangeImage:
     """Range image of a scan whose azimuths are equally spaced."""

@@ -161,6 +161,8 @@ class LidarSource:
         top_m = self.footprint.height_m + field.overhead_margin_m
         near = crop(xyz, area.enlarged(BEYOND_EDGE_M), top_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
+        if self._image is not None:  # a beam that ends on the machine proves nothing of what is above it
+            self._image = self._image.without(scan.pixels[near[is_machine]])
         near = near[~is_machine & is_body[near]]  # before deskewing: the machine moves with the sensor
         near_xyz, is_hole = self._at_edge_of_hole(scan, near, xyz.take(near, axis=1))
         inside = crop(near_xyz, area, top_m)
@@ -179,7 +181,8 @@ class LidarSource:
         is_floating |= self._follows_floating(others, points_odom, returns, is_standing)
         is_doubtful = is_floating | (is_dense | is_hole)[marked]
         single, multiple = field.min_returns_single_scan, field.min_returns_multiple_scan
-        is_hit, cells = evaluate(returns, is_high[marked], is_doubtful, self._cells, single, multiple)
+        at_once = is_high[marked] & (is_standing | (not self._is_in_fog))  # dust above the implement stands on nothing
+        is_hit, cells = evaluate(returns, at_once, is_doubtful, self._cells, single, multiple)
         if self._is_in_fog:  # what is left of it is in the same cell in three scans by chance
             is_hit &= ~is_floating | (returns.counts >= field.min_returns_in_fog)[returns.which]
         self._cells = (cells, self._cells[0])

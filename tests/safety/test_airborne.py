@@ -154,6 +154,29 @@ def test_few_floating_returns_in_fog_are_what_is_left_of_it(
         assert bool(hits[-1]) == expected, count
 
 
+@pytest.mark.parametrize("in_fog", [False, True])
+def test_what_hangs_above_the_machine_in_fog_needs_two_scans(
+    machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch, in_fog: bool
+) -> None:
+    """Beams that end on the machine beneath eight returns do not show that these stand."""
+    far = 0.01 if in_fog else 0.0
+    monkeypatch.setattr(
+        "safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.arange(len(pixels)) < far * len(pixels)
+    )
+    clean, add = cast(noise_m=0.0), returns_at(machine, 8)
+
+    def above_machine(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        out = add(mm, rng)
+        rows, columns = np.nonzero(out != mm)
+        beneath = clean.elevation_rad < clean.elevation_rad[rows].min()
+        out[np.ix_(beneath, np.unique(columns))] = 250  # mm, to the bumper
+        return out
+
+    source = source_of(machine, implement, config)
+    hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=above_machine)) > 0 for k in range(2)]
+    assert hits == [not in_fog, True]
+
+
 def test_few_isolated_returns_are_no_dust(machine: Vehicle, implement: MountedImplement, config: SafetyConfig) -> None:
     """Two returns of a small body with nothing beneath it count in three scans, in a list in two."""
     with_two = returns_at(machine, 2)
