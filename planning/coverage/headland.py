@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64, Int64, runs_of
@@ -46,6 +46,7 @@ BEYOND_M = 3.0  # an arc begins and ends gently
 APART = 10  # points
 FILL_STEP_M, FILL_ENOUGH, TURN_ENOUGH = 0.4, 0.97, 0.995  # a fill, or one with a turn, ends at this share of its work
 BARE_S_PER_M2 = 30.0  # time that a bare square metre in a corner counts as
+NEAR_M = 20.0  # of the fills of a corner, beyond its arc and its turn
 BESIDE = 150  # points of a pass before and after an arc that may work the same ground
 
 
@@ -143,7 +144,8 @@ def _all_filled(
     found = list(passes)
     for n, ring in reversed(list(enumerate(passes))):  # the strips beside an arc that is left out are filled before it
         for before, behind in _fills(ring, space, rig) if ring.is_closed else ():
-            kept, left = list[CornerFill](), bare
+            near, far = _split(bare, ring, [fill for fill in (before, behind) if fill is not None], rig)
+            kept, left = list[CornerFill](), near
             for longest in (behind, before):
                 if longest is None:
                     continue
@@ -154,16 +156,28 @@ def _all_filled(
             filled = replace(found[n], fills=(*found[n].fills, *kept))
             if before is not None and behind is not None:
                 others = [*areas[:n], *areas[n + 1 :], inside]
-                turned = _with_turn(found[n], before, behind, bare, others, space, rig)
+                turned = _with_turn(found[n], before, behind, near, others, space, rig)
                 if turned is not None:
                     saved_s = (
                         _fills_s(kept, rig) + _arc_s(before, behind, ring, rig) - _turn_s(turned[0].turns[-1], rig)
                     )
                     if saved_s > BARE_S_PER_M2 * (turned[1].area - left.area):
                         filled, left = turned
-            found[n], bare = filled, left
+            found[n], bare = filled, MultiPolygon([*far, *parts(left, 0.0)])
         areas[n] = pass_coverage(found[n], rig)
     return found, bare
+
+
+def _split(
+    bare: BaseGeometry, ring: HeadlandPass, fills: Sequence[CornerFill], rig: Rig
+) -> tuple[BaseGeometry, list[Polygon]]:
+    """The parts of an area near fills and the arc between them, and the others."""
+    areas = parts(bare, 0.0)
+    box = shapely.envelope(shapely.union_all([_fill_area(ring, fill, rig) for fill in fills])).buffer(NEAR_M)
+    is_near = shapely.intersects(np.array(areas, object), box)
+    return MultiPolygon([a for a, near in zip(areas, is_near, strict=True) if near]), [
+        a for a, near in zip(areas, is_near, strict=True) if not near
+    ]
 
 
 def _with_turn(
@@ -179,7 +193,9 @@ def _with_turn(
     beside = min(BESIDE, (n - length) // 2)
     sides = [before.index + np.arange(-beside, 1), behind.index + np.arange(beside + 1)]
     around = [a for a in others if a.intersects(arc)] + [_strip(ring, side, rig) for side in sides]
-    left = bare.union(arc.difference(shapely.union_all(around)).intersection(space.allowed))
+    for area in around:
+        arc = arc.difference(area)
+    left = bare.union(arc.intersection(space.allowed))
     behind, _ = _as_long_as_needed(behind, ring, left, rig, TURN_ENOUGH)
     left = left.difference(_fill_area(ring, behind, rig))
     before, _ = _as_long_as_needed(before, ring, left, rig, TURN_ENOUGH)
@@ -232,7 +248,7 @@ def _as_long_as_needed(
     count = max(1, round(abs(fill.by_m) / FILL_STEP_M))
     lengths = np.linspace(0.0, fill.by_m, count + 1)[1:]
     strip = _fill_area(ring, fill, rig).intersection(bare)
-    gains = np.array([strip.intersection(_fill_area(ring, replace(fill, by_m=m), rig)).area for m in lengths])
+    gains = shapely.area(shapely.intersection(strip, _fill_areas(ring, fill.index, lengths, rig)))
     k = int(np.argmax(gains >= enough * gains[-1]))
     return replace(fill, by_m=float(lengths[k])), float(gains[k])
 
@@ -264,11 +280,18 @@ def _strip(ring: HeadlandPass, index: Int64, rig: Rig) -> BaseGeometry:
     return worked(*rig.working_edges(p[index], heading[index]))
 
 
-def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> BaseGeometry:
-    p, h = ring.points_m[[fill.index]], ring.heading_rad[[fill.index]]
-    away = p + fill.by_m * np.column_stack([np.cos(h), np.sin(h)])
-    left, right = rig.working_edges(np.vstack([away, p]), np.append(h, h))
-    return worked(left, right)
+def _fill_area(ring: HeadlandPass, fill: CornerFill, rig: Rig) -> Polygon:
+    area: Polygon = _fill_areas(ring, fill.index, np.array([fill.by_m]), rig)[0]
+    return area
+
+
+def _fill_areas(ring: HeadlandPass, index: int, by_m: Float64, rig: Rig) -> np.ndarray:
+    """Areas worked by fills of some lengths (K,) at a point of a pass, (K,) polygons."""
+    heading = float(ring.heading_rad[index])
+    p = ring.points_m[index] + np.append(by_m, 0.0)[:, None] * np.array([np.cos(heading), np.sin(heading)])
+    left, right = rig.working_edges(p, np.full(len(p), heading))
+    last = np.broadcast_to([left[-1], right[-1]], (len(by_m), 2, 2))
+    return np.asarray(shapely.polygons(np.stack([last[:, 0], left[:-1], right[:-1], last[:, 1]], axis=1)))
 
 
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:

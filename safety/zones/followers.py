@@ -20,6 +20,7 @@ SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that acr
 FLAT = 0.3  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
 NEAR_M = 5.0  # farther away nobody follows
 CLOSING_MPS = 0.7  # of one that does not keep its distance
+VEHICLE_M, BESIDE_M = 2.0, 0.4  # length of a small vehicle, whose parts are tracks; half the width of a person
 BREAK_NS = 300_000_000  # in which the velocity of one that follows may be measured too low
 MARGIN_S = 0.5  # for which the machine stands before they arrive
 
@@ -35,9 +36,10 @@ class Followers:
         self, moving: Iterable[Track], gap_m: Callable[[Track], float], machine: MachineMotion, stamp_ns: int
     ) -> list[Track]:
         """Followers among moving tracks; `gap_m` gives the distance of one from machine and implement."""
+        gaps_m = {track.id: (track, gap_m(track)) for track in moving if follows(track, machine)}
         found = [
-            track for track in moving
-            if follows(track, machine) and self._is_reached(track, gap_m(track), machine)
+            track for track, gap in gaps_m.values()
+            if self._is_reached(track, gap, machine) and not is_behind_another(track, gap, gaps_m.values(), machine)
         ]  # fmt: skip
         recent = {number: span for number, span in self._spans_ns.items() if stamp_ns - span[1] <= BREAK_NS}
         self._spans_ns = recent | {track.id: (recent.get(track.id, (stamp_ns,))[0], stamp_ns) for track in found}
@@ -56,6 +58,20 @@ class Followers:
         fastest_mps = follower_mps + velocity_sigma_mps(track)
         gaps_m = gap_m + braking_travel_m(speed_mps, braking, times_s) - fastest_mps * times_s
         return float(gaps_m.min()) <= self._tracked.lateral_m
+
+
+def is_behind_another(
+    track: Track, gap_m: float, followers: Iterable[tuple[Track, float]], machine: MachineMotion
+) -> bool:
+    """Whether a follower would reach another one first: it is shortly behind it, or a part of the same vehicle."""
+
+    def aside_m(other: Track) -> float:
+        return float(from_frame(machine.pose_odom, other.p_odom_m[None, :2])[0, 1])
+
+    return any(
+        gap_m - VEHICLE_M < other_m < gap_m and abs(aside_m(other) - aside_m(track)) < BESIDE_M
+        for other, other_m in followers
+    )
 
 
 def follows(track: Track, machine: MachineMotion) -> bool:

@@ -446,6 +446,17 @@ def test_who_follows_reaches_a_machine_that_brakes(area: SweptArea, config: Supe
 
 
 @clause("BD-5.2.4")
+def test_who_is_behind_another_follower_reaches_that_one_first(area: SweptArea, config: SupervisorConfig) -> None:
+    """The wind shield of a quad that keeps its distance seemed to come nearer (draw 12029)."""
+    size = (0.4, 1.0, 1.2)
+    for aside_m, front_m, comes in ((0.0, -6.9, False), (0.7, -6.9, True), (0.0, -5.0, True)):
+        front = person(front_m, 0.0, vx=2.3, id=1, label=ObstacleClass.VEHICLE, size=size)
+        back = person(-7.4, aside_m, vx=3.8, id=2, label=ObstacleClass.VEHICLE, size=size)
+        bystanders = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        assert see(bystanders, area, front, back, speed_mps=2.5) == comes, (aside_m, front_m)
+
+
+@clause("BD-5.2.4")
 def test_who_follows_through_a_turn(vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig) -> None:
     """A roe deer 1 m behind keeps its place while the machine turns at 5 m; one that crosses its track there passes."""
     area = swept(vehicle, implement, config, 0.2)
