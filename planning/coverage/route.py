@@ -281,8 +281,10 @@ def _visit_to_line(
 ) -> Route | None:
     """Folded to the start of a line, over it and those of the others to which it leads, and folded back.
 
-    None where it is not reached, or where the folded ways take more than some time.
+    None where it is not reached, or where the folded ways take more than some time, or than the line is worth.
     """
+    rig = connector.rig
+    most_s = min(most_s, worth_of(rig, False).most_s_per_m2 * rig.working_width_m * line.length_m)
     for is_reversed in (False, True):
         ends = line.ends(is_reversed)
         there = None if ends is None else ways.to(ends[0])
