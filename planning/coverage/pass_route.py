@@ -8,18 +8,17 @@ from itertools import chain
 import numpy as np
 from shapely.geometry import LineString
 
-from geometry.arrays import runs_of
 from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
+from planning.turns.departure import departure_of, placed
 from planning.turns.search import AT_ONCE_M, Connection, Leg, bounds_s, straight
 
 STRIDE = 25  # points of a pass between two candidates, 2.5 m
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
-TIGHT = 0.95  # of the curvature of the turning radius
 MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 10, 6, 12, 8, 2
 NO_LINK_S = 100.0
 NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
@@ -36,12 +35,16 @@ class PassDrive:
 
 @dataclass(frozen=True)
 class _Entry:
-    """Where the drive over a closed pass begins and ends: at one of its points, or in a corner without its turn."""
+    """Where the drive over a closed pass begins and ends: at one of its points, or in a corner without its turn.
+
+    Along an edge it ends with a departure.
+    """
 
     index: int
     start: Pose2
     end: Pose2
     turn: CornerTurn | None = None
+    departure: Leg | None = None
 
     @property
     def saved_s(self) -> float:
@@ -54,17 +57,15 @@ def drive_passes(
 ) -> PassDrive:
     """Drives closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
 
-    A pass along the edge is left before a corner, or in one: on a straight the tail would swing over the edge. One that
-    cannot be left for another pass or a goal is not driven, except without goals (None).
+    A pass along the edge is left before a corner, in one, or by a departure: elsewhere the tail would swing over the
+    edge. One that cannot be left for another pass or a goal is not driven, except without goals (None).
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in rings]
     for ring, entries in left:
         if connector.rig.trailer is not None:
             _follow(connector, ring, entries)
-        else:
-            bends = _bends(ring, connector.rig.radius_m)
-            connector.in_bends.update(pose for entry in bends for pose in (entry.start, entry.end))
-            entries += bends
+        elif ring.number == 0 and not connector.rig.has_reverse:
+            entries += _departing(connector, entries)
     pieces: list[RoutePiece] = []
     last, number = _Entry(0, start, start), 0
     while number < len(left):
@@ -247,14 +248,17 @@ def _is_apart(ring: HeadlandPass, k: int) -> bool:
     return all(APART < (f.index - k) % n < n - APART for f in ring.fills)
 
 
-def _bends(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
-    """The middles of bends to the left, away from the edge, apart from fills and turns."""
-    is_tight = ring.curvature_radpm[:-1] > TIGHT / radius_m
-    first = int(np.argmin(is_tight))
-    n = len(is_tight)
-    middles = [(first + (a + b) // 2) % n for a, b in runs_of(np.roll(is_tight, -first))]
-    apart = (k for k in middles if _is_driven(ring, k) and _is_apart(ring, k))
-    return [_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in apart]
+def _departing(connector: PathConnector, entries: Sequence[_Entry]) -> list[_Entry]:
+    """Entries with a departure, where the rig is free on it."""
+    rig, space = connector.rig, connector.space
+    if rig.config.edge_slack_m == 0.0:
+        return []
+    curve = departure_of(-rig.rear_m, rig.config.edge_slack_m)
+    legs = [placed(curve, entry.end) for entry in entries]
+    free = [space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs]
+    found = [replace(e, end=legs[k].pose(-1), departure=legs[k]) for k, e in enumerate(entries) if free[k]]
+    connector.in_bends.update(entry.end for entry in found)
+    return found
 
 
 def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:
@@ -283,6 +287,8 @@ def _loop(ring: HeadlandPass, entry: _Entry) -> list[RoutePiece]:
         pieces += _fill_pieces(ring, stop) if isinstance(stop, CornerFill) else _turn_pieces(ring, stop)
         done = offset if isinstance(stop, CornerFill) else (stop.behind.index - first) % n
     pieces.append(piece(done, length))
+    if entry.departure is not None:
+        pieces.append(RoutePiece(PathSectionType.TURN, ring.number, entry.departure, False))
     if entry.turn is None:
         return pieces
     out = _straight_piece(ring, entry.start, ring.pose(first))

@@ -401,10 +401,10 @@ def test_dead_end_behind_a_passage_is_left_backwards(
 
 
 @pytest.mark.parametrize("name", ["rectangle", "pond"])
-def test_pass_along_the_edge_is_left_in_a_bend(
+def test_pass_along_the_edge_is_left_forwards(
     name: str, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
-    """Forwards, where on a straight the tail would swing over the edge."""
+    """By a departure: in a turn the tail would swing over the edge."""
     assert mission.work is not None
     polygon = {
         "rectangle": box(0.0, 0.0, 200.0, 100.0),

@@ -15,6 +15,7 @@ from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
 from planning.turns.curve import MAX_SEGMENTS, solve, trace
+from planning.turns.departure import departure_of, placed
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import MIN_RUN_M, Connection, ConnectionRequest, TurnTimes, bounds_s, find_turn
 from planning.turns.transit import along_passes, both_ways
@@ -156,3 +157,16 @@ def test_way_along_a_pass() -> None:
     blocked = FreeSpace(area.difference(Polygon([(72, 30), (90, 30), (90, 31), (72, 31)])), BODIES, RADIUS_M, RAMP_M)
     around = along_passes(request, blocked, FORWARD, tracks)
     assert around is None or all(leg.p_map_m[:, 0].max() < 81.0 or leg.p_map_m[:, 1].max() < 30 for leg in around.legs)
+
+
+@pytest.mark.parametrize(("tail_m", "slack_m"), [(2.4, 0.005), (4.0, 0.02)])
+def test_tail_stays_inside_on_a_departure(tail_m: float, slack_m: float) -> None:
+    leg = placed(departure_of(tail_m, slack_m), Pose2(3.0, -2.0, 0.7))
+    p, heading = leg.p_map_m - np.array([3.0, -2.0]), leg.heading_rad - 0.7
+    away_m = p @ np.array([-math.sin(0.7), math.cos(0.7)])
+    assert (away_m - tail_m * np.sin(heading)).min() > -slack_m
+    assert heading[-1] > 0.4
+    assert (np.diff(leg.curvature_radpm) > 0.0).all()
+    assert np.diff(leg.curvature_radpm).max() < 0.03
+    travel = np.arctan2(*np.diff(leg.p_map_m, axis=0).T[::-1])
+    assert travel == pytest.approx(0.5 * (leg.heading_rad[1:] + leg.heading_rad[:-1]), abs=1e-3)
