@@ -172,12 +172,10 @@ def _split(
     bare: BaseGeometry, ring: HeadlandPass, fills: Sequence[CornerFill], rig: Rig
 ) -> tuple[BaseGeometry, list[Polygon]]:
     """The parts of an area near fills and the arc between them, and the others."""
-    areas = parts(bare, 0.0)
+    areas = np.array(parts(bare, 0.0), object)
     box = shapely.envelope(shapely.union_all([_fill_area(ring, fill, rig) for fill in fills])).buffer(NEAR_M)
-    is_near = shapely.intersects(np.array(areas, object), box)
-    return MultiPolygon([a for a, near in zip(areas, is_near, strict=True) if near]), [
-        a for a, near in zip(areas, is_near, strict=True) if not near
-    ]
+    is_near = shapely.intersects(areas, box)
+    return MultiPolygon(list(areas[is_near])), list(areas[~is_near])
 
 
 def _with_turn(

@@ -1,7 +1,7 @@
 """Driving the headland passes one after the other: entry point of each, its legs with corner fills, and its exit."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -229,23 +229,16 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
         level = np.abs(curvature[before]) < STRAIGHT_RADPM
         if level.any():
             flat.append(int(before[int(np.argmax(level))]))
-    flat = [k for k in flat if _is_driven(ring, k)]
+    spans = [(t.before.index, (t.behind.index - t.before.index) % n) for t in ring.turns]
+
+    def driven(points: Iterable[int]) -> list[int]:
+        return [k for k in points if all((k - first) % n > length for first, length in spans)]
+
+    apart = [k for k in driven(flat) if all(APART < (f.index - k) % n < n - APART for f in ring.fills)]
     straightest = (int(k) for k in candidates[np.argsort(around[candidates], kind="stable")])
-    points = [k for k in flat if _is_apart(ring, k)] or flat or [k for k in straightest if _is_driven(ring, k)][:3]
+    points = apart or driven(flat) or driven(straightest)[:3]
     corners = [_Entry(t.behind.index, _end(ring, t.behind), _end(ring, t.before), t) for t in ring.turns]
     return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
-
-
-def _is_driven(ring: HeadlandPass, k: int) -> bool:
-    """Whether no turn is driven in place of a point of a pass."""
-    n = len(ring.points_m) - 1
-    return all((k - t.before.index) % n > (t.behind.index - t.before.index) % n for t in ring.turns)
-
-
-def _is_apart(ring: HeadlandPass, k: int) -> bool:
-    """Whether a point of a pass is not beside a fill."""
-    n = len(ring.points_m) - 1
-    return all(APART < (f.index - k) % n < n - APART for f in ring.fills)
 
 
 def _departing(connector: PathConnector, entries: Sequence[_Entry]) -> list[_Entry]:
@@ -257,7 +250,7 @@ def _departing(connector: PathConnector, entries: Sequence[_Entry]) -> list[_Ent
     legs = [placed(curve, entry.end) for entry in entries]
     free = [space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs]
     found = [replace(e, end=legs[k].pose(-1), departure=legs[k]) for k, e in enumerate(entries) if free[k]]
-    connector.in_bends.update(entry.end for entry in found)
+    connector.departed.update(entry.end for entry in found)
     return found
 
 

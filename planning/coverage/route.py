@@ -242,10 +242,11 @@ def _visits_to_lines(
         lines = _lines(region.connector, region.swaths, [])
         visits.add([line for line in lines if id(line.source) not in driven])
     rig, space, drivable = visits.connector.rig, visits.connector.space, visits.connector.drivable
-    whole = replace(drivable, free=shapely.union_all([r.connector.drivable.free for r in regions]))
-    covered = shapely.union_all([one.area(rig) for one in (*routes, *visits.routes)])
-    if rig.has_reverse and parts(wide_bare(whole, rig, covered), worth_of(rig, False).least_m2):
-        fill_bare(whole, rig, work, space, covered, (), visits.insert)
+    if rig.has_reverse:
+        whole = replace(drivable, free=shapely.union_all([r.connector.drivable.free for r in regions]))
+        covered = shapely.union_all([one.area(rig) for one in (*routes, *visits.routes)])
+        if parts(wide_bare(whole, rig, covered), worth_of(rig, False).least_m2):
+            fill_bare(whole, rig, work, space, covered, (), visits.insert)
     return visits.routes
 
 

@@ -15,7 +15,7 @@ from planning.turns.search import Connection, ConnectionRequest, Leg, find_turn
 from planning.turns.transit import Track, along_passes, both_ways
 
 HOME_STRAIGHT_M = 1.0
-BESIDE = 10  # points, 1 m
+AT_ONCE = 10  # points, 1 m
 BEGINNING = 300  # points of a line, 30 m: then a trailed implement has forgotten its angle
 
 
@@ -41,8 +41,8 @@ class PathConnector:
 
     With a trailed implement a connection counts only where the implement, as it arrives, is free on the line that
     begins at its goal. `hitch_rad`: hitch angles at ends of curved lines, at others it is in line; `beginnings`: curved
-    lines, closed ones without their last point, with the index where they begin; `in_bends`: poses in bends of lines,
-    beside which a connection has no straight end.
+    lines, closed ones without their last point, with the index where they begin; `departed`: ends of departures,
+    which a turn to the left, or none, follows at once.
     """
 
     drivable: DrivableArea
@@ -55,7 +55,7 @@ class PathConnector:
     transits: dict[ConnectionRequest, Connection | None] = field(default_factory=dict)
     hitch_rad: dict[Pose2, float] = field(default_factory=dict)
     beginnings: dict[Pose2, tuple[Leg, int]] = field(default_factory=dict)
-    in_bends: set[Pose2] = field(default_factory=set)
+    departed: set[Pose2] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for p in self.headland_passes:
@@ -80,10 +80,11 @@ class PathConnector:
 
     def request(self, a: Pose2, b: Pose2, behind_m: float = 0.0, ahead_m: float = 0.0) -> ConnectionRequest:
         """From the end of one line, `behind_m` long, to the beginning of the next, `ahead_m` long."""
-        run_out_m = 0.0 if a in self.in_bends else self.rig.config.run_out_m
-        line_up_m = 0.0 if b in self.in_bends else self.rig.line_up_m
+        run_out_m = 0.0 if a in self.departed else self.rig.config.run_out_m
         hitch_rad = self.hitch_rad.get(a, 0.0)
-        return ConnectionRequest(a, b, run_out_m, line_up_m, behind_m, ahead_m, hitch_rad, self.rig.tolerance_rad)
+        return ConnectionRequest(
+            a, b, run_out_m, self.rig.line_up_m, behind_m, ahead_m, hitch_rad, self.rig.tolerance_rad
+        )
 
     def home_request(self, a: Pose2, home: Pose2, behind_m: float = 0.0) -> ConnectionRequest:
         """From the end of a line, `behind_m` long, to the lane, on which a trailed implement is in line."""
@@ -101,19 +102,13 @@ class PathConnector:
             self.beginnings[leg.pose(0)] = leg, 0
 
     def _onto_line(self, request: ConnectionRequest, found: Connection | None) -> Connection | None:
-        if found is None or not self._is_beside_bends(request, found):
+        if found is None or (request.start in self.departed and found.legs[0].curvature_radpm[:AT_ONCE].min() < 0.0):
             return None
         if request.goal not in self.beginnings:
             return found
         leg, first = self.beginnings[request.goal]
         index = (first + np.arange(min(BEGINNING, len(leg.heading_rad)))) % len(leg.heading_rad)
         return found if self.space.is_free(leg.p_map_m[index], leg.heading_rad[index], found.hitch_rad) else None
-
-    def _is_beside_bends(self, request: ConnectionRequest, found: Connection) -> bool:
-        """Whether no bend to the right is driven right beside one of `in_bends`, which are bends to the left."""
-        first, last = found.legs[0].curvature_radpm[:BESIDE], found.legs[-1].curvature_radpm[-BESIDE:]
-        beside = [k for pose, k in ((request.start, first), (request.goal, last)) if pose in self.in_bends]
-        return all(float(k.min()) >= 0.0 for k in beside)
 
     def require(self, request: ConnectionRequest, purpose: str) -> Connection:
         """Free connection; raises FieldError that names both positions."""

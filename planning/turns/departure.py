@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from geometry.pose2 import Pose2
+from geometry.pose2 import Pose2, to_frame
 from planning.turns.search import STEP_M, Leg
 
 SHARE = 0.8  # of the slack beside the edge that the swing takes
@@ -29,6 +29,4 @@ def departure_of(tail_m: float, slack_m: float) -> Leg:
 
 def placed(leg: Leg, start: Pose2) -> Leg:
     """A leg from the origin, from a pose."""
-    c, s = math.cos(start.yaw_rad), math.sin(start.yaw_rad)
-    points = leg.p_map_m @ np.array([[c, s], [-s, c]]) + np.array([start.x_m, start.y_m])
-    return Leg(leg.direction, points, leg.heading_rad + start.yaw_rad, leg.curvature_radpm)
+    return Leg(leg.direction, to_frame(start, leg.p_map_m), leg.heading_rad + start.yaw_rad, leg.curvature_radpm)

@@ -36,10 +36,10 @@ class Followers:
         self, moving: Iterable[Track], gap_m: Callable[[Track], float], machine: MachineMotion, stamp_ns: int
     ) -> list[Track]:
         """Followers among moving tracks; `gap_m` gives the distance of one from machine and implement."""
-        gaps_m = {track.id: (track, gap_m(track)) for track in moving if follows(track, machine)}
+        near = [(track, gap_m(track)) for track in moving if follows(track, machine)]
         found = [
-            track for track, gap in gaps_m.values()
-            if self._is_reached(track, gap, machine) and not is_behind_another(track, gap, gaps_m.values(), machine)
+            track for track, gap in near
+            if self._is_reached(track, gap, machine) and not is_behind_another(track, gap, near, machine)
         ]  # fmt: skip
         recent = {number: span for number, span in self._spans_ns.items() if stamp_ns - span[1] <= BREAK_NS}
         self._spans_ns = recent | {track.id: (recent.get(track.id, (stamp_ns,))[0], stamp_ns) for track in found}

@@ -139,15 +139,20 @@ def returns_at(machine: Vehicle, count: int):
     return add
 
 
+def scatter(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
+    """Some share of the returns, far off, is scattered."""
+    monkeypatch.setattr(
+        "safety.sources.lidar.scattered",
+        lambda image, pixels, memory=None: np.arange(len(pixels)) < share * len(pixels),
+    )
+
+
 @pytest.mark.parametrize("in_fog", [False, True])
 def test_few_floating_returns_in_fog_are_what_is_left_of_it(
     machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch, in_fog: bool
 ) -> None:
     """Scattered are 1 % of the returns, far off; in the same cell in three scans are two or eight returns."""
-    far = 0.01 if in_fog else 0.0
-    monkeypatch.setattr(
-        "safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.arange(len(pixels)) < far * len(pixels)
-    )
+    scatter(monkeypatch, 0.01 if in_fog else 0.0)
     for count, expected in ((2, not in_fog), (8, True)):
         source, add = source_of(machine, implement, config), returns_at(machine, count)
         hits = [take(source, cast(seed=k, stamp_ns=START_NS + k * SCAN_NS, extra=add)) for k in range(3)]
@@ -159,10 +164,7 @@ def test_what_hangs_above_the_machine_in_fog_needs_two_scans(
     machine: Vehicle, implement: MountedImplement, config: SafetyConfig, monkeypatch: pytest.MonkeyPatch, in_fog: bool
 ) -> None:
     """Beams that end on the machine beneath eight returns do not show that these stand."""
-    far = 0.01 if in_fog else 0.0
-    monkeypatch.setattr(
-        "safety.sources.lidar.scattered", lambda image, pixels, memory=None: np.arange(len(pixels)) < far * len(pixels)
-    )
+    scatter(monkeypatch, 0.01 if in_fog else 0.0)
     clean, add = cast(noise_m=0.0), returns_at(machine, 8)
 
     def above_machine(mm: np.ndarray, rng: np.random.Generator) -> np.ndarray:
