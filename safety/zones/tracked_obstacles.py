@@ -134,13 +134,15 @@ def is_beside(track: Track, pose_odom: Float64, area: SweptArea) -> bool:
 
 
 def is_fragment_of(track: Track, static: Sequence[Track], margin_m: float) -> bool:
-    """Whether the centre of a track lies within `margin_m` of the box of a larger static track.
+    """Whether the centre of a track lies within `margin_m` of the box of a larger track that is known not to move so.
 
     A vehicle passed closely is detected in fragments with moving centres. A person emerging beside it is covered by the
-    raw field.
+    raw field. A vehicle that comes may be seen in parts too: one without a known velocity is no reason to leave out
+    another that moves.
     """
+    speed_mps = math.hypot(*track.velocity_mps[:2].tolist())
     for other in static:
-        if other.id == track.id or length_m(other) <= length_m(track):
+        if other.id == track.id or length_m(other) <= length_m(track) or velocity_sigma_mps(other) > speed_mps:
             continue
         c, s = math.cos(other.yaw_rad), math.sin(other.yaw_rad)
         dx, dy = (track.p_odom_m[:2] - other.p_odom_m[:2]).tolist()

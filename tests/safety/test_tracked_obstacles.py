@@ -120,14 +120,22 @@ def test_fragment_distance() -> None:
         for u, v in itertools.product((-2.51, -2.5, 0.0, 1.2, 2.5, 2.51), (-1.51, -1.5, 0.0, 0.7, 1.5, 1.51)):
             place = to_frame(np.array([0.0, 0.0, yaw]), np.array([[u * (1 - slack), v * (1 - slack)]]))[0]
             expected = abs(u) <= 2.5 and abs(v) <= 1.5
-            assert is_fragment_of(track(*place), [car], 0.5) == expected, (yaw, u, v)
+            assert is_fragment_of(track(*place, 1.0), [car], 0.5) == expected, (yaw, u, v)
 
 
 def test_fragment_size() -> None:
     car = track(0.0, 0.0, size=(4.0, 2.0, 1.5), id=2)
-    assert not is_fragment_of(replace(car, id=3), [car], 0.5)
-    assert not is_fragment_of(replace(track(0.0, 0.0), id=2), [car], 0.5)
-    assert is_fragment_of(track(0.0, 0.0), [track(0.0, 0.0), car], 0.5)
+    part = track(0.0, 0.0, 1.0)
+    assert not is_fragment_of(replace(part, size_m=car.size_m), [car], 0.5)
+    assert not is_fragment_of(replace(part, id=2), [car], 0.5)
+    assert is_fragment_of(part, [part, car], 0.5)
+
+
+def test_a_vehicle_of_unknown_velocity_has_no_fragments() -> None:
+    car = track(0.0, 0.0, size=(4.0, 2.0, 1.5), id=2)
+    for sigma_mps, expected in ((1.2, True), (1.21, False), (4.0, False)):
+        unsure = replace(car, covariance=np.diag([0.01, 0.01, 0.01, sigma_mps**2]))
+        assert is_fragment_of(track(0.0, 0.0, 1.2), [unsure], 0.5) == expected, sigma_mps
 
 
 def test_known_structure_by_position() -> None:
