@@ -4,8 +4,8 @@ Cheapest paths over a grid, which keep away from edges, give poses to pass; near
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,10 +13,11 @@ import shapely
 from scipy.ndimage import distance_transform_edt, uniform_filter1d
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 
-from geometry.arrays import Bool, Float64, Int32
+from geometry.arrays import Bool, Float64, Int32, Int64
 from geometry.polygon import shrink
-from geometry.polyline import headings, resample
+from geometry.polyline import arc_length, at_length, headings
 from geometry.pose2 import Pose2
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import STEP_M as LEG_STEP_M
@@ -26,16 +27,21 @@ MIN_CELL_M, MAX_CELLS = 0.5, 1_000_000
 EDGE_COST = 4.0  # of a cell at an edge, in cells far from edges
 STEP_M, SMOOTHED_M, SPACING_M = 0.5, 6.0, 6.0
 SKIPPED = 6  # poses to the next one that is joined, at most
+TURNED = Pose2(0.0, 0.0, math.pi)
 NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 @dataclass(frozen=True)
 class TransportWays:
-    """Ways of the bodies of `space` from a pose `hub` to others, and back to it."""
+    """Ways of the bodies of `space` from a pose `hub` to others, and back to it.
+
+    Ways that begin alike pass the same poses, and share the turns between them.
+    """
 
     hub: Pose2
     space: FreeSpace
     times: TurnTimes
+    _turns: dict[tuple[Pose2, Pose2], Connection | None] = field(default_factory=dict, init=False, repr=False)
 
     def to(self, pose: Pose2) -> tuple[Leg, ...] | None:
         """Way to a pose, or None; with reversing also the way back from it backwards, where no other is found."""
@@ -51,30 +57,47 @@ class TransportWays:
         return sum(LEG_STEP_M * len(leg.p_map_m) / speed_mps[leg.direction] for leg in legs)
 
     def _there(self, pose: Pose2) -> tuple[Leg, ...] | None:
-        points = self._guide(pose)
-        return None if points is None else self._way(self.hub, pose, points)
+        ways = (self._way([self.hub, *passed, pose]) for passed in self._passed(pose))
+        return next((way for way in ways if way is not None), None)
 
     def _back(self, pose: Pose2) -> tuple[Leg, ...] | None:
-        points = self._guide(pose)
-        return None if points is None else self._way(pose, self.hub, points[::-1])
+        ways = (self._way([pose, *(p @ TURNED for p in passed[::-1]), self.hub]) for passed in self._passed(pose))
+        return next((way for way in ways if way is not None), None)
 
     def _backwards(self, way: tuple[Leg, ...] | None) -> tuple[Leg, ...] | None:
         return None if way is None or not self.times.has_reverse else tuple(leg.backwards for leg in reversed(way))
 
-    def _way(self, start: Pose2, goal: Pose2, points_m: Float64) -> tuple[Leg, ...] | None:
-        """Fastest way that passes poses along a polyline (N, 2) from one of its ends to the other."""
-        poses, straight_m = [start, *_poses(points_m), goal], self.space.smoothing_m / 2.0  # no step of curvature
+    def _way(self, poses: Sequence[Pose2]) -> tuple[Leg, ...] | None:
+        """Fastest way from the first of some poses to the last that passes others between them."""
         ways: list[tuple[float, tuple[Connection, ...]] | None] = [(0.0, ())]
         for k, pose in enumerate(poses[1:], 1):
-            found = []
-            for n in range(max(0, k - SKIPPED), k):
-                if (way := ways[n]) is not None:
-                    request = ConnectionRequest(poses[n], pose, straight_m, straight_m)
-                    turn = find_turn(request, self.space, self.times)
-                    found += [(way[0] + turn.time_s, (*way[1], turn))] if turn is not None else []
+            found = [
+                (way[0] + turn.time_s, (*way[1], turn))
+                for n in range(max(0, k - SKIPPED), k)
+                if (way := ways[n]) is not None and (turn := self._turn(poses[n], pose)) is not None
+            ]
             ways.append(min(found, key=lambda f: f[0], default=None))
         last = ways[-1]
         return None if last is None else tuple(leg for turn in last[1] for leg in turn.legs)
+
+    def _turn(self, start: Pose2, goal: Pose2) -> Connection | None:
+        straight_m = self.space.smoothing_m / 2.0  # no step of curvature
+        if (start, goal) not in self._turns:
+            request = ConnectionRequest(start, goal, straight_m, straight_m)
+            self._turns[start, goal] = find_turn(request, self.space, self.times)
+        return self._turns[start, goal]
+
+    def _passed(self, goal: Pose2) -> Iterator[list[Pose2]]:
+        """Poses on the cheapest path over the grid to a pose, `SPACING_M` apart from the hub on, then those between
+        them; none where no path leads there."""
+        points = self._guide(goal)
+        if points is None:
+            return
+        smooth = uniform_filter1d(_every(points, STEP_M), int(SMOOTHED_M / STEP_M), axis=0, mode="nearest")
+        line, every = _every(smooth, STEP_M), int(SPACING_M / STEP_M)
+        heading = headings(line)
+        for first in (every, every // 2):
+            yield [Pose2(*map(float, (*line[k], heading[k]))) for k in range(first, len(line) - every // 2, every)]
 
     def _guide(self, goal: Pose2) -> Float64 | None:
         """Cheapest path over the grid to a pose, (N, 2), or None."""
@@ -110,20 +133,21 @@ class TransportWays:
 
     def _cell(self, pose: Pose2) -> int:
         """Number of the free cell nearest to a pose, -1 without any."""
+        tree, cells = self._free_cells
+        return int(cells[tree.query(pose[:2])[1]]) if len(cells) else -1
+
+    @cached_property
+    def _free_cells(self) -> tuple[KDTree, Int64]:
+        """Middles and numbers of the free cells."""
         x, y, is_free = self._grid
         columns, rows = np.nonzero(is_free)
-        if not len(columns):
-            return -1
-        k = int(np.argmin(np.hypot(x[columns] - pose.x_m, y[rows] - pose.y_m)))
-        return int(columns[k] * len(y) + rows[k])
+        return KDTree(np.column_stack([x[columns], y[rows]])), columns * len(y) + rows
 
 
-def _poses(points_m: Float64) -> list[Pose2]:
-    """Poses along a polyline (N, 2) between its ends, `SPACING_M` apart."""
-    line = uniform_filter1d(resample(points_m, STEP_M), int(SMOOTHED_M / STEP_M), axis=0, mode="nearest")
-    line = resample(line, STEP_M)
-    heading, every = headings(line), int(SPACING_M / STEP_M)
-    return [Pose2(*map(float, (*line[k], heading[k]))) for k in range(every, len(line) - every // 2, every)]
+def _every(points_m: Float64, step_m: float) -> Float64:
+    """Points of a polyline (N, 2) at whole multiples of a distance from its beginning, and its end."""
+    length_m = float(arc_length(points_m)[-1])
+    return at_length(points_m, np.append(np.arange(0.0, length_m, step_m), length_m))
 
 
 def _graph(is_free: Bool, cost: Float64) -> "csr_array[np.float64, tuple[int, int]]":
