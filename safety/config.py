@@ -245,6 +245,8 @@ class BystanderConfig(Config):
     min_coming_m: Metres = Field(description="and distance for which, at its speed")
     min_following_s: Seconds = Field(description="the same of one that follows and would be reached by braking")
     manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="change of its velocity that a body may make")
+    turn_radps: float = Field(ge=0.0, le=10.0, description="turning rate of a person or animal, at its speed")
+    max_manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="largest change of velocity by it")
     closing_m: Metres = Field(description="a predicted approach by less is none")
     follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
     away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")

@@ -153,9 +153,18 @@ class Bystanders:
         centers, travel_m = from_frame(machine.pose_odom, centers), machine.speed_mps * times_s
         gaps_m = distance_to_bodies_m(centers, machine.area, travel_m) - reach_m
         is_own = gaps_m[0] + reach_m[0] <= self._tracked.self_filter_m
-        is_closing = float(gaps_m.min()) < gaps_m[0] - self._config.closing_m
-        reached_m = 0.5 * self._config.manoeuvre_mps2 * times_s**2
-        return not is_own and is_closing and float((gaps_m - reached_m).min()) <= self._tracked.lateral_m
+        nearest = int(np.argmin(gaps_m))
+        is_closing = float(gaps_m[nearest]) < gaps_m[0] - self._config.closing_m
+        change_mps2 = np.full(len(times_s), self._config.manoeuvre_mps2)
+        change_mps2[: nearest + 1] = self._manoeuvre_mps2(track)  # who has passed does not turn back
+        reachable_m = gaps_m - 0.5 * change_mps2 * times_s**2
+        return not is_own and is_closing and float(reachable_m.min()) <= self._tracked.lateral_m
+
+    def _manoeuvre_mps2(self, track: Track) -> float:
+        """Change of its velocity that a body may make: who runs turns faster."""
+        config = self._config
+        speed_mps = math.hypot(*track.velocity_mps[:2].tolist()) if track.label in MAY_WALK else 0.0
+        return max(config.manoeuvre_mps2, min(config.turn_radps * speed_mps, config.max_manoeuvre_mps2))
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
         """Those that come in two messages and for some distance: edges of walls, parts of fences, stored goods that

@@ -134,7 +134,7 @@ def test_comes_from_every_side(
 
 
 def test_reach_of_the_prediction(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
-    change_m = 0.5 * config.bystanders.manoeuvre_mps2 * 2.0**2
+    change_m = 0.5 * config.bystanders.turn_radps * 1.5 * 2.0**2
     reach_m = 0.2 + config.tracked.lateral_m + 2.0 * 1e-3 + change_m  # half of the box, margin, uncertainty after 2 s
     for y in around(WING_Y + 2.0 * 1.5 + reach_m, 0.02):
         assert see(bystanders, area, person(WING_X, y - 1e-6, vy=-1.5)) == (y <= WING_Y + 3.0 + reach_m + 1e-9), y
@@ -153,11 +153,29 @@ def test_who_follows_the_wing_in_a_turn(
 ) -> None:
     """At a constant velocity the wing, which moves on, is passed behind."""
     area, cyclist = swept(vehicle, implement, config, -0.2), person(-1.6, 5.4, vx=1.7, vy=-2.1)
-    straight = config.bystanders.model_copy(update={"manoeuvre_mps2": 0.0})
+    straight = config.bystanders.model_copy(update={"manoeuvre_mps2": 0.0, "turn_radps": 0.0})
     assert see(Bystanders(config.bystanders, config.tracked, PTO_STOP_S), area, cyclist, speed_mps=2.2)
     assert not see(Bystanders(straight, config.tracked, PTO_STOP_S), area, cyclist, speed_mps=2.2)
     away = person(-1.6, 5.4, vx=1.7, vy=0.3)
     assert not see(Bystanders(config.bystanders, config.tracked, PTO_STOP_S), area, away, speed_mps=2.2)
+
+
+def test_who_runs_turns_faster(bystanders: Bystanders, config: SupervisorConfig) -> None:
+    least, most = config.bystanders.manoeuvre_mps2, config.bystanders.max_manoeuvre_mps2
+    for speed_mps, expected in ((0.0, least), (1.0, least), (3.0, 1.5), (4.0, most), (9.0, most)):
+        assert bystanders._manoeuvre_mps2(person(0.0, 9.0, vx=speed_mps)) == pytest.approx(expected)
+        cart = replace(person(0.0, 9.0, vx=speed_mps), label=ObstacleClass.VEHICLE)
+        assert bystanders._manoeuvre_mps2(cart) == least
+
+
+def test_who_runs_past_a_wing_and_turns_to_it(
+    vehicle: Vehicle, implement: MountedImplement, config: SupervisorConfig
+) -> None:
+    """At its velocity the dog passes behind the wing, which moves on."""
+    area, dog = swept(vehicle, implement, config, 0.0), person(-2.3, 6.4, vx=0.4, vy=-3.4)
+    straight = config.bystanders.model_copy(update={"turn_radps": 0.0})
+    assert see(Bystanders(config.bystanders, config.tracked, PTO_STOP_S), area, dog, speed_mps=1.5)
+    assert not see(Bystanders(straight, config.tracked, PTO_STOP_S), area, dog, speed_mps=1.5)
 
 
 def test_own_implement_is_no_bystander(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
