@@ -260,10 +260,9 @@ class CollisionMonitor:
         hits = self.sources.lidar_hits_odom_m if is_standing and not self.is_docking else NOWHERE
         machine = MachineMotion(swept_field.main, pose_odom, speed_mps, odom.yaw_rate_radps, braking)
         self.bystanders.note_returns(hits, is_inside, machine, odom.stamp_ns)
-        is_among_plants = self.sources.vegetation_m > 0.0
-        self.standing_bodies.update(
-            near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, is_among_plants
-        )
+        tracks = () if inputs.tracks is None else inputs.tracks.tracks
+        among_plants = tracks if self.sources.vegetation_m > 0.0 else None
+        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, among_plants)
         self._critical_object = min(
             self._nearest_object(near, inputs.tracks, odom, machine, predicted_s, is_standing),
             self.standing_bodies.hidden, key=lambda one: one.clearance_m,

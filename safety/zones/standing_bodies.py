@@ -9,7 +9,7 @@ trunks and posts of hedge and fence have the shape of a person: who comes from t
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,9 @@ from safety.config import StandingBodyConfig
 from safety.stopping_distance import Braking
 from safety.zones.bystanders import distance_to_bodies_m
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
-from safety.zones.tracked_obstacles import MAY_WALK, NO_CRITICAL_OBJECT, CriticalObject, box_points
+from safety.zones.tracked_obstacles import MAY_WALK, NO_CRITICAL_OBJECT, CriticalObject, box_points, length_m
+
+MAY_LIE = MAY_WALK | {ObstacleClass.UNKNOWN}
 
 
 @dataclass(frozen=True)
@@ -45,40 +47,67 @@ class StandingBodies:
     def __init__(self, config: StandingBodyConfig) -> None:
         self._config = config
         self._places: dict[int, tuple[Float64, ObstacleClass, int]] = {}  # box (9, 2) in odom, class, last seen
+        self._glimpsed: dict[int, tuple[Float64, ObstacleClass, int]] = {}
+        self._first_m: dict[int, Float64] = {}  # first places (2,) in odom of small tracks that are not confirmed yet
         self.slowest, self.hidden = NO_STANDING_BODY, NO_CRITICAL_OBJECT
 
     def forget_hidden(self) -> None:
         """An operator has confirmed that nobody is near the machine."""
         self._places.clear()
+        self._glimpsed.clear()
         self.hidden = NO_CRITICAL_OBJECT
 
     def update(
         self, near: Iterable[tuple[Track, bool]], area: SweptArea, pose_odom: Float64, braking: Braking, now_ns: int,
-        is_inside: Callable[[Float64], np.ndarray] | None, is_among_plants: bool,
+        is_inside: Callable[[Float64], np.ndarray] | None, among_plants: Sequence[Track] | None,
     ) -> None:  # fmt: skip
         """Takes the tracks, each with whether it moves, for base at `pose_odom` (3,) in odom.
 
         `is_inside` tests points (N, 2) in odom for the geofence; None: not known, so every body counts.
-        `is_among_plants`: plants hide who lies.
+        `among_plants`: all tracks, confirmed or not, where plants hide who lies, else None.
         """
+        is_among_plants = among_plants is not None
         for track, moves in near:
             if moves:
                 self._places.pop(track.id, None)
             elif self._may_walk(track) and (is_inside is None or is_inside(box_points(track)).all()):
                 self._places[track.id] = box_points(track), track.label, track.last_seen_ns
+        self._note_glimpsed(among_plants or (), is_inside)
         oldest_ns, lost_ns = (now_ns - round(time_s * 1e9) for time_s in (self._config.hold_s, self._config.lost_s))
         self._places = {
             number: place for number, place in self._places.items()
             if place[2] >= oldest_ns or (is_among_plants and self._is_within_reach(place[0], pose_odom))
         }  # fmt: skip
+        self._glimpsed = {n: one for n, one in self._glimpsed.items() if self._is_within_reach(one[0], pose_odom)}
         hidden = [
             CriticalObject(self._ahead_m(box, area, pose_odom), label, number)
-            for number, (box, label, seen_ns) in self._places.items() if is_among_plants and seen_ns < lost_ns
+            for number, (box, label, seen_ns) in (self._places | self._glimpsed).items()
+            if is_among_plants and seen_ns < lost_ns
         ]  # fmt: skip
         self.hidden = min(hidden, key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
         recent = [(box, label) for box, label, seen_ns in self._places.values() if seen_ns >= oldest_ns]
         found = [self._passing(box, label, area, pose_odom, braking) for box, label in recent]
         self.slowest = min(found, key=lambda one: one.speed_mps, default=NO_STANDING_BODY)
+
+    def _note_glimpsed(
+        self, tracks: Sequence[Track], is_inside: Callable[[Float64], np.ndarray] | None
+    ) -> None:  # fmt: skip
+        """Small bodies among plants, seen twice at one place before their tracks are confirmed."""
+        for track in tracks:
+            if track.is_confirmed:
+                self._glimpsed.pop(track.id, None)
+        small = [track for track in tracks if self._is_small(track)]
+        self._first_m = {track.id: self._first_m.get(track.id, track.p_odom_m[:2]) for track in small}
+        for track in small:
+            box, moved_m = box_points(track), float(np.hypot(*(track.p_odom_m[:2] - self._first_m[track.id])))
+            is_twice = track.last_seen_ns - track.first_seen_ns >= self._config.glimpsed_s * 1e9
+            if is_twice and moved_m <= self._config.glimpsed_length_m and (is_inside is None or is_inside(box).all()):
+                self._glimpsed[track.id] = box, track.label, track.last_seen_ns
+
+    def _is_small(self, track: Track) -> bool:
+        """Whether a track that is not confirmed yet has the length of a body, seen by a lidar."""
+        is_body = track.label in MAY_LIE and length_m(track) <= self._config.glimpsed_length_m
+        return is_body and not track.is_confirmed and any(name.startswith("lidar") for name in track.sensors)
 
     def _is_within_reach(self, box_odom_m: Float64, pose_odom: Float64) -> bool:
         return bool(np.hypot(*(box_odom_m - pose_odom[:2]).T).min() <= self._config.reach_m)

@@ -1,12 +1,13 @@
 """Standing bodies: how fast the machine passes a person or animal that stands beside its path."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from configs.vehicle import MountedImplement, Vehicle
-from messages.perception import ObstacleClass
+from messages.perception import ObstacleClass, Track
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.standing_bodies import NO_STANDING_BODY, StandingBodies
@@ -30,7 +31,8 @@ def slowest(bodies: StandingBodies, vehicle: Vehicle, implement: MountedImplemen
     area = swept(vehicle, implement, config, 0.0)
 
     def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None, plants=False):
-        bodies.update([(t, bool(t.velocity_mps.any())) for t in tracks], area, pose, braking, now_ns, is_inside, plants)
+        near = [(t, bool(t.velocity_mps.any())) for t in tracks if t.is_confirmed]
+        bodies.update(near, area, pose, braking, now_ns, is_inside, tracks if plants else None)
         return bodies.slowest
 
     return update
@@ -111,6 +113,43 @@ def test_who_is_not_hidden_in_the_path(slowest, bodies, changes: dict, plants: b
     slowest(person(9.0, **{"y": 0.5} | changes), plants=plants)
     slowest(now_ns=START_NS + 2_000_000_000, plants=plants)
     assert bodies.hidden.clearance_m == math.inf
+
+
+@pytest.mark.parametrize(("changes", "second", "expected"), [
+    ({}, {}, True),
+    ({}, None, False),  # seen in one scan
+    ({"size": (0.7, 0.2, 0.4)}, {}, False),
+    ({"label": ObstacleClass.AIRBORNE}, {}, False),
+    ({}, {"x": 9.7}, False),  # moves
+    ({}, {"is_confirmed": True}, False),  # and is left to the other rules
+    ({"sensors": ("ultrasonic_front",)}, {}, False),
+])  # fmt: skip
+def test_who_was_glimpsed_above_plants_may_lie_there(
+    slowest, bodies, changes: dict, second: dict | None, expected: bool
+) -> None:
+    """A child who lies down is seen in two scans, before its track is confirmed."""
+
+    def child(x: float = 9.0, age_s: float = 0.0, **more) -> Track:
+        wanted = {"label": ObstacleClass.UNKNOWN, "size": (0.3, 0.2, 0.4), "is_confirmed": False} | changes | more
+        flags = {name: wanted.pop(name) for name in ("is_confirmed", "sensors") if name in wanted}
+        return replace(person(x, 0.5, age_s=age_s, stamp_ns=START_NS + round(age_s * 1e9), **wanted), **flags)
+
+    slowest(child(), plants=True)
+    if second is not None:
+        slowest(child(age_s=0.1, **second), now_ns=START_NS + 100_000_000, plants=True)
+    slowest(now_ns=START_NS + 2_000_000_000, plants=True)
+    assert math.isfinite(bodies.hidden.clearance_m) == expected
+    bodies.forget_hidden()
+    slowest(now_ns=START_NS + 2_000_000_000, plants=True)
+    assert bodies.hidden is NO_CRITICAL_OBJECT
+
+
+def test_nobody_is_glimpsed_outside_of_the_geofence(slowest, bodies) -> None:
+    for age_s in (0.0, 0.1):
+        small = replace(person(9.0, 0.5, age_s=age_s, size=(0.3, 0.2, 0.4)), is_confirmed=False)
+        slowest(small, plants=True, is_inside=lambda points: points[:, 0] < 5.0)
+    slowest(now_ns=START_NS + 2_000_000_000, plants=True)
+    assert bodies.hidden is NO_CRITICAL_OBJECT
 
 
 def test_who_is_far_away_is_not_hidden_for_ever(slowest, bodies, config: SupervisorConfig) -> None:
