@@ -14,6 +14,7 @@ import numpy as np
 from configs.vehicle import Sensors
 from geometry.arrays import Float64
 from geometry.pose2 import from_frame, to_frame
+from geometry.transforms import invert
 from messages.command import ControlCommand
 from messages.motion import MapPose, Odometry
 from messages.perception import ObstacleClass, SensorHealth, Track, Tracks
@@ -43,7 +44,7 @@ from safety.zones.protective_field import (
     section_type_at,
     sweep_field,
 )
-from safety.zones.standing_bodies import StandingBodies
+from safety.zones.standing_bodies import Plants, StandingBodies
 from safety.zones.swept_area import outline_points
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
@@ -260,15 +261,19 @@ class CollisionMonitor:
         hits = self.sources.lidar_hits_odom_m if is_standing and not self.is_docking else NOWHERE
         machine = MachineMotion(swept_field.main, pose_odom, speed_mps, odom.yaw_rate_radps, braking)
         self.bystanders.note_returns(hits, is_inside, machine, odom.stamp_ns)
-        tracks = () if inputs.tracks is None else inputs.tracks.tracks
-        among_plants = tracks if self.sources.vegetation_m > 0.0 else None
-        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, among_plants)
+        plants = self._plants(inputs.tracks, odom)
+        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, plants)
         self._critical_object = min(
             self._nearest_object(near, inputs.tracks, odom, machine, predicted_s, is_standing),
             self.standing_bodies.hidden, key=lambda one: one.clearance_m,
         )  # fmt: skip
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
+
+    def _plants(self, tracks: Tracks | None, odom: Odometry) -> Plants | None:
+        height_m = self.sources.vegetation_m
+        all_tracks = () if tracks is None else tracks.tracks
+        return Plants(height_m, all_tracks, invert(odom.T_odom_base)) if height_m > 0.0 else None
 
     def _nearest_object(
         self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, machine: MachineMotion,

@@ -35,6 +35,20 @@ class StandingBody:
     label: ObstacleClass
 
 
+@dataclass(frozen=True)
+class Plants:
+    """Plants that hide who lies: height, all tracks, confirmed or not, and odom in base (4, 4)."""
+
+    height_m: float
+    tracks: Sequence[Track]
+    T_base_odom: Float64
+
+    def is_below(self, track: Track, by_m: float) -> bool:
+        """Whether the plants end so far below the top of a track, as a lidar sees it."""
+        top_m = float(self.T_base_odom[2] @ np.append(track.p_odom_m, 1.0)) + 0.5 * float(track.size_m[2])
+        return top_m >= self.height_m + by_m and any(name.startswith("lidar") for name in track.sensors)
+
+
 NO_STANDING_BODY = StandingBody(math.inf, math.inf, ObstacleClass.UNKNOWN)
 
 
@@ -47,6 +61,7 @@ class StandingBodies:
     def __init__(self, config: StandingBodyConfig) -> None:
         self._config = config
         self._places: dict[int, tuple[Float64, ObstacleClass, int]] = {}  # box (9, 2) in odom, class, last seen
+        self._above: set[int] = set()  # those that rose above the plants
         self._glimpsed: dict[int, tuple[Float64, ObstacleClass, int]] = {}
         self._first_m: dict[int, Float64] = {}  # first places (2,) in odom of small tracks that are not confirmed yet
         self.slowest, self.hidden = NO_STANDING_BODY, NO_CRITICAL_OBJECT
@@ -55,59 +70,56 @@ class StandingBodies:
         """An operator has confirmed that nobody is near the machine."""
         self._places.clear()
         self._glimpsed.clear()
+        self._above.clear()
         self.hidden = NO_CRITICAL_OBJECT
 
     def update(
         self, near: Iterable[tuple[Track, bool]], area: SweptArea, pose_odom: Float64, braking: Braking, now_ns: int,
-        is_inside: Callable[[Float64], np.ndarray] | None, among_plants: Sequence[Track] | None,
+        is_inside: Callable[[Float64], np.ndarray] | None, plants: Plants | None,
     ) -> None:  # fmt: skip
         """Takes the tracks, each with whether it moves, for base at `pose_odom` (3,) in odom.
 
         `is_inside` tests points (N, 2) in odom for the geofence; None: not known, so every body counts.
-        `among_plants`: all tracks, confirmed or not, where plants hide who lies, else None.
+        `plants`: those that hide who lies, None where there are none.
         """
-        is_among_plants = among_plants is not None
         for track, moves in near:
             if moves:
                 self._places.pop(track.id, None)
             elif self._may_walk(track) and (is_inside is None or is_inside(box_points(track)).all()):
                 self._places[track.id] = box_points(track), track.label, track.last_seen_ns
-        self._note_glimpsed(among_plants or (), is_inside)
+        if plants is not None:
+            self._note_above(plants, is_inside)
         oldest_ns, lost_ns = (now_ns - round(time_s * 1e9) for time_s in (self._config.hold_s, self._config.lost_s))
         self._places = {
             number: place for number, place in self._places.items()
-            if place[2] >= oldest_ns or (is_among_plants and self._is_within_reach(place[0], pose_odom))
+            if place[2] >= oldest_ns or (plants is not None and self._is_within_reach(place[0], pose_odom))
         }  # fmt: skip
         self._glimpsed = {n: one for n, one in self._glimpsed.items() if self._is_within_reach(one[0], pose_odom)}
+        self._above &= self._places.keys()
         hidden = [
             CriticalObject(self._ahead_m(box, area, pose_odom), label, number)
             for number, (box, label, seen_ns) in (self._places | self._glimpsed).items()
-            if is_among_plants and seen_ns < lost_ns
+            if plants is not None and seen_ns < lost_ns and (number in self._above or number in self._glimpsed)
         ]  # fmt: skip
         self.hidden = min(hidden, key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
         recent = [(box, label) for box, label, seen_ns in self._places.values() if seen_ns >= oldest_ns]
         found = [self._passing(box, label, area, pose_odom, braking) for box, label in recent]
         self.slowest = min(found, key=lambda one: one.speed_mps, default=NO_STANDING_BODY)
 
-    def _note_glimpsed(
-        self, tracks: Sequence[Track], is_inside: Callable[[Float64], np.ndarray] | None
-    ) -> None:  # fmt: skip
-        """Small bodies among plants, seen twice at one place before their tracks are confirmed."""
-        for track in tracks:
-            if track.is_confirmed:
-                self._glimpsed.pop(track.id, None)
-        small = [track for track in tracks if self._is_small(track)]
+    def _note_above(self, plants: Plants, is_inside: Callable[[Float64], np.ndarray] | None) -> None:
+        """Bodies that rise above the plants; small ones also when seen twice at one place before they are confirmed."""
+        above = [track for track in plants.tracks if plants.is_below(track, self._config.above_plants_m)]
+        confirmed = {track.id for track in plants.tracks if track.is_confirmed}
+        self._above |= {track.id for track in above} & self._places.keys()
+        self._glimpsed = {number: one for number, one in self._glimpsed.items() if number not in confirmed}
+        small = [track for track in above if track.label in MAY_LIE and track.id not in confirmed]
+        small = [track for track in small if length_m(track) <= self._config.glimpsed_length_m]
         self._first_m = {track.id: self._first_m.get(track.id, track.p_odom_m[:2]) for track in small}
         for track in small:
             box, moved_m = box_points(track), float(np.hypot(*(track.p_odom_m[:2] - self._first_m[track.id])))
             is_twice = track.last_seen_ns - track.first_seen_ns >= self._config.glimpsed_s * 1e9
             if is_twice and moved_m <= self._config.glimpsed_length_m and (is_inside is None or is_inside(box).all()):
                 self._glimpsed[track.id] = box, track.label, track.last_seen_ns
-
-    def _is_small(self, track: Track) -> bool:
-        """Whether a track that is not confirmed yet has the length of a body, seen by a lidar."""
-        is_body = track.label in MAY_LIE and length_m(track) <= self._config.glimpsed_length_m
-        return is_body and not track.is_confirmed and any(name.startswith("lidar") for name in track.sensors)
 
     def _is_within_reach(self, box_odom_m: Float64, pose_odom: Float64) -> bool:
         return bool(np.hypot(*(box_odom_m - pose_odom[:2]).T).min() <= self._config.reach_m)

@@ -350,8 +350,8 @@ def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: Safet
     inside = Geofence((to_frame(POSE_MAP, base),)).contains
     collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True), posts=NO_POSTS))
     look(collision_monitor, config)
-    near, area, pose_odom, braking, now_ns, is_inside, among_plants = collision_monitor.standing_bodies.update.asked
-    assert among_plants is None
+    near, area, pose_odom, braking, now_ns, is_inside, plants = collision_monitor.standing_bodies.update.asked
+    assert plants is None
     assert (near, area) == ([], collision_monitor.swept_field.main)
     assert pose_odom == pytest.approx(POSE_ODOM)
     assert (braking, now_ns) == (config.braking.flat, START_NS)
@@ -368,10 +368,12 @@ def test_who_is_lost_among_plants_is_a_critical_object(make: Any, config: Safety
     for nearest_m in (1.99, 2.0, 2.01):
         parts.nearest_critical_object.answer = CriticalObject(nearest_m, ObstacleClass.VEHICLE, 3)
         look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + round(1e6 * nearest_m), ())))
-        assert collision_monitor.standing_bodies.update.asked[-1] == ()
+        plants = collision_monitor.standing_bodies.update.asked[-1]
+        assert (plants.height_m, plants.tracks) == (0.3, ())
+        assert plants.T_base_odom @ SEEN.odom.T_odom_base == pytest.approx(np.eye(4))
         assert collision_monitor.critical_object().id == (3 if nearest_m <= 2.0 else 7), nearest_m
     look(collision_monitor, config, replace(SEEN, tracks=None))
-    assert collision_monitor.standing_bodies.update.asked[-1] == ()  # plants hide who lies there without tracks too
+    assert collision_monitor.standing_bodies.update.asked[-1].tracks == ()  # they hide who lies there without any too
 
 
 def test_distances_shrink_by_distance_driven(make: Any, config: SafetyConfig, parts: Any) -> None:

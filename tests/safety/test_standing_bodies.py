@@ -10,7 +10,7 @@ from configs.vehicle import MountedImplement, Vehicle
 from messages.perception import ObstacleClass, Track
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.supervisor_config import SupervisorConfig
-from safety.zones.standing_bodies import NO_STANDING_BODY, StandingBodies
+from safety.zones.standing_bodies import NO_STANDING_BODY, Plants, StandingBodies
 from safety.zones.tracked_obstacles import NO_CRITICAL_OBJECT
 from tests.clause import clause
 from tests.safety.safety_world import START_NS, around
@@ -18,6 +18,8 @@ from tests.safety.test_bystanders import HERE, WING_Y, person, swept
 
 TOP_MPS = 10.0 / 3.6
 BRAKING = Braking(0.6, 0.4, 2.5)
+
+PLANTS_M = 0.35
 
 
 @pytest.fixture
@@ -32,7 +34,8 @@ def slowest(bodies: StandingBodies, vehicle: Vehicle, implement: MountedImplemen
 
     def update(*tracks, pose=HERE, now_ns=START_NS, braking=BRAKING, is_inside=None, plants=False):
         near = [(t, bool(t.velocity_mps.any())) for t in tracks if t.is_confirmed]
-        bodies.update(near, area, pose, braking, now_ns, is_inside, tracks if plants else None)
+        around = Plants(PLANTS_M, tracks, np.eye(4)) if plants else None
+        bodies.update(near, area, pose, braking, now_ns, is_inside, around)
         return bodies.slowest
 
     return update
@@ -123,6 +126,7 @@ def test_who_is_not_hidden_in_the_path(slowest, bodies, changes: dict, plants: b
     ({}, {"x": 9.7}, False),  # moves
     ({}, {"is_confirmed": True}, False),  # and is left to the other rules
     ({"sensors": ("ultrasonic_front",)}, {}, False),
+    ({"size": (0.3, 0.2, 0.4), "up_m": -0.2}, {}, False),  # among the plants
 ])  # fmt: skip
 def test_who_was_glimpsed_above_plants_may_lie_there(
     slowest, bodies, changes: dict, second: dict | None, expected: bool
@@ -132,6 +136,7 @@ def test_who_was_glimpsed_above_plants_may_lie_there(
     def child(x: float = 9.0, age_s: float = 0.0, **more) -> Track:
         wanted = {"label": ObstacleClass.UNKNOWN, "size": (0.3, 0.2, 0.4), "is_confirmed": False} | changes | more
         flags = {name: wanted.pop(name) for name in ("is_confirmed", "sensors") if name in wanted}
+        flags["p_odom_m"] = np.array([x, 0.5, 0.46 + wanted.pop("up_m", 0.0)])
         return replace(person(x, 0.5, age_s=age_s, stamp_ns=START_NS + round(age_s * 1e9), **wanted), **flags)
 
     slowest(child(), plants=True)
@@ -142,6 +147,17 @@ def test_who_was_glimpsed_above_plants_may_lie_there(
     bodies.forget_hidden()
     slowest(now_ns=START_NS + 2_000_000_000, plants=True)
     assert bodies.hidden is NO_CRITICAL_OBJECT
+
+
+def test_a_tuft_is_not_lost_among_plants(slowest, bodies, config: SupervisorConfig) -> None:
+    """What never rose above them by `above_plants_m` is one of them."""
+    for top_m in around(PLANTS_M + config.standing_body.above_plants_m, 0.01):
+        bodies.forget_hidden()
+        body = person(9.0, 0.5, size=(0.5, 0.2, 0.2), label=ObstacleClass.ANIMAL)
+        slowest(replace(body, p_odom_m=np.array([9.0, 0.5, top_m - 0.1 + 1e-9])), plants=True)
+        slowest(now_ns=START_NS + 2_000_000_000, plants=True)
+        is_lost = top_m >= PLANTS_M + config.standing_body.above_plants_m
+        assert math.isfinite(bodies.hidden.clearance_m) == is_lost, top_m
 
 
 def test_nobody_is_glimpsed_outside_of_the_geofence(slowest, bodies) -> None:
