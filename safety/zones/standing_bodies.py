@@ -108,12 +108,15 @@ class StandingBodies:
 
     def _note_above(self, plants: Plants, is_inside: Callable[[Float64], np.ndarray] | None) -> None:
         """Bodies that rise above the plants; small ones also when seen twice at one place before they are confirmed."""
-        above = [track for track in plants.tracks if plants.is_below(track, self._config.above_plants_m)]
+        self._above |= {track.id for track in plants.tracks if plants.is_below(track, 0.0)} & self._places.keys()
         confirmed = {track.id for track in plants.tracks if track.is_confirmed}
-        self._above |= {track.id for track in above} & self._places.keys()
         self._glimpsed = {number: one for number, one in self._glimpsed.items() if number not in confirmed}
-        small = [track for track in above if track.label in MAY_LIE and track.id not in confirmed]
-        small = [track for track in small if length_m(track) <= self._config.glimpsed_length_m]
+        small = [
+            track for track in plants.tracks
+            if track.label in MAY_LIE and track.id not in confirmed
+            and length_m(track) <= self._config.glimpsed_length_m
+            and plants.is_below(track, self._config.glimpsed_above_m)
+        ]  # fmt: skip
         self._first_m = {track.id: self._first_m.get(track.id, track.p_odom_m[:2]) for track in small}
         for track in small:
             box, moved_m = box_points(track), float(np.hypot(*(track.p_odom_m[:2] - self._first_m[track.id])))
