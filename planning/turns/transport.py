@@ -57,12 +57,13 @@ class TransportWays:
         return sum(LEG_STEP_M * len(leg.p_map_m) / speed_mps[leg.direction] for leg in legs)
 
     def _there(self, pose: Pose2) -> tuple[Leg, ...] | None:
-        ways = (self._way([self.hub, *passed, pose]) for passed in self._passed(pose))
-        return next((way for way in ways if way is not None), None)
+        return self._first_way([self.hub, *passed, pose] for passed in self._passed(pose))
 
     def _back(self, pose: Pose2) -> tuple[Leg, ...] | None:
-        ways = (self._way([pose, *(p @ TURNED for p in passed[::-1]), self.hub]) for passed in self._passed(pose))
-        return next((way for way in ways if way is not None), None)
+        return self._first_way([pose, *(p @ TURNED for p in passed[::-1]), self.hub] for passed in self._passed(pose))
+
+    def _first_way(self, some: Iterable[Sequence[Pose2]]) -> tuple[Leg, ...] | None:
+        return next((way for way in map(self._way, some) if way is not None), None)
 
     def _backwards(self, way: tuple[Leg, ...] | None) -> tuple[Leg, ...] | None:
         return None if way is None or not self.times.has_reverse else tuple(leg.backwards for leg in reversed(way))

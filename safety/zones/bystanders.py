@@ -22,7 +22,7 @@ from safety.config import BystanderConfig, TrackedConfig
 from safety.zones.followers import Followers
 from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, length_m, predicted
+from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, length_m, predicted, speed_mps
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,9 @@ class Bystanders:
     def _manoeuvre_mps2(self, track: Track) -> float:
         """Change of its velocity that a body may make: who runs turns faster."""
         config = self._config
-        speed_mps = math.hypot(*track.velocity_mps[:2].tolist()) if track.label in MAY_WALK else 0.0
-        return max(config.manoeuvre_mps2, min(config.turn_radps * speed_mps, config.max_manoeuvre_mps2))
+        if track.label not in MAY_WALK:
+            return config.manoeuvre_mps2
+        return max(config.manoeuvre_mps2, min(config.turn_radps * speed_mps(track), config.max_manoeuvre_mps2))
 
     def _lasting(self, coming: list[Track], stamp_ns: int) -> list[Track]:
         """Those that come in two messages and for some distance: edges of walls, parts of fences, stored goods that
@@ -174,8 +175,8 @@ class Bystanders:
         return [track for track in coming if (stamp_ns - since_ns[track.id]) * 1e-9 >= self._needed_s(track)]
 
     def _needed_s(self, track: Track) -> float:
-        speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
-        return max(self._config.min_coming_s, self._config.min_coming_m / max(speed_mps, self._tracked.moving_mps))
+        at_least_mps = max(speed_mps(track), self._tracked.moving_mps)
+        return max(self._config.min_coming_s, self._config.min_coming_m / at_least_mps)
 
     def _is_settled(self, track: Track) -> bool:
         """Whether the motion of a moving track counts: it has a class, or is old enough and not high and narrow, as the

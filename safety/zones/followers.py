@@ -4,7 +4,6 @@ At its present speed the machine is not reached, so nothing else stops it: it is
 stops for something else. It has to stand before they arrive.
 """
 
-import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -14,7 +13,7 @@ from messages.perception import ObstacleClass, Track
 from safety.config import BystanderConfig, TrackedConfig
 from safety.stopping_distance import braking_travel_m, stopping_time
 from safety.zones.machine_motion import MachineMotion
-from safety.zones.tracked_obstacles import length_m, velocity_sigma_mps
+from safety.zones.tracked_obstacles import length_m, speed_mps, velocity_sigma_mps
 
 SLOPE, NOISE_MPS = 2.0, 0.5  # relative velocity along the machine over that across it, less its noise
 FLAT = 0.3  # height over length: a gull that glides behind the implement, its span 1.0 m, was a person
@@ -48,15 +47,14 @@ class Followers:
 
     def _is_reached(self, track: Track, gap_m: float, machine: MachineMotion) -> bool:
         """Whether a track reaches the machine while it brakes, or soon after; who keeps a distance brakes too."""
-        speed_mps, braking = machine.speed_mps, machine.braking
-        follower_mps = math.hypot(*track.velocity_mps[:2].tolist())
-        keeps_distance = gap_m > self._config.away_m and follower_mps < speed_mps + CLOSING_MPS
+        own_mps, follower_mps, braking = machine.speed_mps, speed_mps(track), machine.braking
+        keeps_distance = gap_m > self._config.away_m and follower_mps < own_mps + CLOSING_MPS
         if gap_m > NEAR_M or keeps_distance:
             return False
-        last_s = min(self._tracked.max_horizon_s, stopping_time(speed_mps, braking) + MARGIN_S)
+        last_s = min(self._tracked.max_horizon_s, stopping_time(own_mps, braking) + MARGIN_S)
         times_s = np.linspace(0.0, last_s, self._tracked.steps)
         fastest_mps = follower_mps + velocity_sigma_mps(track)
-        gaps_m = gap_m + braking_travel_m(speed_mps, braking, times_s) - fastest_mps * times_s
+        gaps_m = gap_m + braking_travel_m(own_mps, braking, times_s) - fastest_mps * times_s
         return float(gaps_m.min()) <= self._tracked.lateral_m
 
 

@@ -96,10 +96,10 @@ class StandingBodies:
         }  # fmt: skip
         self._glimpsed = {n: one for n, one in self._glimpsed.items() if self._is_within_reach(one[0], pose_odom)}
         self._above &= self._places.keys()
+        may_lie = {number: place for number, place in self._places.items() if number in self._above} | self._glimpsed
         hidden = [
             CriticalObject(self._ahead_m(box, area, pose_odom), label, number)
-            for number, (box, label, seen_ns) in (self._places | self._glimpsed).items()
-            if plants is not None and seen_ns < lost_ns and (number in self._above or number in self._glimpsed)
+            for number, (box, label, seen_ns) in may_lie.items() if plants is not None and seen_ns < lost_ns
         ]  # fmt: skip
         self.hidden = min(hidden, key=lambda one: one.clearance_m, default=NO_CRITICAL_OBJECT)
         recent = [(box, label) for box, label, seen_ns in self._places.values() if seen_ns >= oldest_ns]

@@ -45,6 +45,11 @@ def velocity_sigma_mps(track: Track) -> float:
     return math.sqrt(max(0.0, larger(float(track.covariance[2, 2]), float(track.covariance[3, 3]))))
 
 
+def speed_mps(track: Track) -> float:
+    """Speed over ground."""
+    return math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
+
+
 def is_moving(track: Track, config: TrackedConfig) -> bool:
     """Whether a track moves significantly: old enough, above the speed threshold and the velocity uncertainty.
 
@@ -57,7 +62,7 @@ def is_moving(track: Track, config: TrackedConfig) -> bool:
     is_long = length_m(track) > config.max_unclassified_length_m
     if track.label is ObstacleClass.UNKNOWN and is_long:
         return False
-    speed = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
+    speed = speed_mps(track)
     if not math.isfinite(speed):
         return False
     if track.label in STATIC_CLASSES and speed > config.max_static_class_speed_mps:
@@ -74,8 +79,7 @@ def is_broad_mover(track: Track, stamp_ns: int, config: TrackedConfig) -> bool:
     is_broad = track.label is ObstacleClass.UNKNOWN and float(np.min(track.size_m)) >= config.broad_m
     if not is_broad or is_coasting(track, stamp_ns, config):
         return False
-    speed_mps = math.hypot(float(track.velocity_mps[0]), float(track.velocity_mps[1]))
-    return speed_mps >= max(config.long_moving_mps, config.moving_sigmas * velocity_sigma_mps(track))
+    return speed_mps(track) >= max(config.long_moving_mps, config.moving_sigmas * velocity_sigma_mps(track))
 
 
 def is_coasting(track: Track, stamp_ns: int, config: TrackedConfig) -> bool:
@@ -140,9 +144,8 @@ def is_fragment_of(track: Track, static: Sequence[Track], margin_m: float) -> bo
     raw field. A vehicle that comes may be seen in parts too: one without a known velocity is no reason to leave out
     another that moves.
     """
-    speed_mps = math.hypot(*track.velocity_mps[:2].tolist())
     for other in static:
-        if other.id == track.id or length_m(other) <= length_m(track) or velocity_sigma_mps(other) > speed_mps:
+        if other.id == track.id or length_m(other) <= length_m(track) or velocity_sigma_mps(other) > speed_mps(track):
             continue
         c, s = math.cos(other.yaw_rad), math.sin(other.yaw_rad)
         dx, dy = (track.p_odom_m[:2] - other.p_odom_m[:2]).tolist()

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from shapely.geometry import Polygon
+import shapely
+from shapely.geometry import box
 from shapely.geometry.base import BaseGeometry
 
 from geometry.footprint import footprints
@@ -13,22 +14,7 @@ from planning.turns.search import TurnTimes
 from planning.turns.transport import TransportWays
 
 BODIES = (Rectangle(-2.0, 3.5, 2.5),)
-AREA = Polygon(
-    [
-        (0, 0),
-        (60, 0),
-        (60, 12),
-        (100, 12),
-        (100, 0),
-        (160, 0),
-        (160, 60),
-        (100, 60),
-        (100, 17),
-        (60, 17),
-        (60, 60),
-        (0, 60),
-    ]
-)
+AREA = shapely.union_all([box(0, 0, 60, 60), box(60, 12, 100, 17), box(100, 0, 160, 60)])
 HUB, GOALS = Pose2(20.0, 30.0, 0.0), (Pose2(120.0, 40.0, 1.0), Pose2(130.0, 20.0, -2.0), Pose2(40.0, 50.0, 3.0))
 
 
@@ -67,5 +53,5 @@ def test_ways_that_begin_alike_share_turns() -> None:
 
 
 def test_no_way_through_a_closed_passage() -> None:
-    closed = AREA.difference(Polygon([(80, 0), (81, 0), (81, 60), (80, 60)]))
+    closed = AREA.difference(box(80, 0, 81, 60))
     assert ways_of(closed, True).to(GOALS[0]) is None
