@@ -367,7 +367,7 @@ class LimitsConfig(Config):
 class ModesConfig(Config):
     """Times of the mode machine."""
 
-    start_warning_s: Seconds
+    start_warning_s: Seconds = Field(description="longer until the path was clear for `resume_clear_s`")
     resume_warning_s: Seconds
     resume_clear_s: Seconds
     resume_kmh: Kmh = Field(description="allowed speed required ahead before the machine resumes")

@@ -32,7 +32,7 @@ class ModeMachine:
         self._needs_confirmation = True
         self._was_waiting = False
         self._cause, self._is_urgent = "", False
-        self._clear, self._warned = DebounceTimer(), DebounceTimer()
+        self._clear, self._warned, self._open = DebounceTimer(), DebounceTimer(), DebounceTimer()
         self._warning_s = config.start_warning_s
 
     def update(
@@ -72,7 +72,10 @@ class ModeMachine:
     def _observed(self, situation: Situation, decision: Decision, mission: MissionStatus | None) -> frozenset[Event]:
         """Events other than operator commands."""
         now_ns = situation.now_ns
-        warned_s = self._warned.update(now_ns, self.mode is Mode.START_WARNING)
+        is_warning, is_blocked = self.mode is Mode.START_WARNING, self._is_blocked(situation, decision)
+        warned_s = self._warned.update(now_ns, is_warning)
+        open_s = self._open.update(now_ns, is_warning and not is_blocked)
+        is_at_rest = is_warning and warned_s < self._warning_s and not situation.is_moving
         is_passable = decision.passable_mps >= kmh(self._config.resume_kmh)
         clear_s = self._clear.update(now_ns, self.mode is Mode.OBSTACLE_STOP and is_passable)
         is_over = mission is not None and mission.state in (MissionState.FINISHED, MissionState.ABORTED)
@@ -82,15 +85,16 @@ class ModeMachine:
             Event.FAULT: decision.is_fault,
             Event.DONE: is_over and not situation.is_moving,
             Event.WAIT: self._was_waiting and not situation.is_moving,
-            Event.OBSTACLE: self._is_blocked(situation, decision),
+            Event.OBSTACLE: is_blocked and not is_at_rest,
             Event.CLEAR: clear_s >= self._config.resume_clear_s and not situation.is_departure_unresolved,
-            Event.WARNED: warned_s >= self._warning_s,
+            Event.WARNED: warned_s >= self._warning_s and open_s >= min(warned_s, self._config.resume_clear_s),
         }
         return frozenset(event for event, holds in happened.items() if holds)
 
     def _is_blocked(self, situation: Situation, decision: Decision) -> bool:
         """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path.
 
+        Before a start it does so at the end of the warning; one that was gone by then makes the warning longer.
         One that was lost from view in the path prevents a start as well. Before a person or animal that stands in the
         path, a machine at rest waits until it may resume, instead of creeping up.
         """
@@ -109,6 +113,7 @@ class ModeMachine:
         self._warning_s = self._config.resume_warning_s if is_resuming else self._config.start_warning_s
         self._warned.update(situation.now_ns, False)
         self._clear.update(situation.now_ns, False)
+        self._open.update(situation.now_ns, False)
         if self.mode is Mode.OBSTACLE_STOP:
             is_passable = before is Mode.START_WARNING and decision.passable_mps >= self._config.creep_mps
             self._cause = UNCONFIRMED if is_passable else decision.blocking.code

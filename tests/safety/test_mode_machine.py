@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -166,7 +167,8 @@ def test_no_resume_while_a_departure_is_unresolved(bench: Bench) -> None:
     assert (bench.show(after_s=0.1, **lost), bench.reason) == (Mode.OBSTACLE_STOP, "operator_command.unconfirmed")
     assert bench.show(after_s=60.0, **lost) is Mode.OBSTACLE_STOP
     assert bench.show(**STANDING) is Mode.START_WARNING
-    assert (bench.show(**lost), bench.reason) == (Mode.OBSTACLE_STOP, "operator_command.unconfirmed")
+    assert bench.show(**lost) is Mode.START_WARNING
+    assert (bench.show(after_s=1.5, **lost), bench.reason) == (Mode.OBSTACLE_STOP, "operator_command.unconfirmed")
     bench.show(**STANDING)
     bench.show(after_s=2.5, **STANDING)
     bench.show(**STANDING)
@@ -194,7 +196,26 @@ def test_obstacle_stop_at_standstill(bench: Bench) -> None:
     assert bench.show(**STANDING, **near(2.1 + 0.062)) is Mode.OBSTACLE_STOP
     assert bench.show(OperatorCommandKind.PAUSE, **STANDING) is Mode.STANDBY
     assert bench.show(OperatorCommandKind.START, **STANDING) is Mode.START_WARNING
-    assert bench.show(**STANDING, **near(1.0), control_command=None) is Mode.OBSTACLE_STOP
+    assert bench.show(**STANDING, **near(1.0), control_command=None) is Mode.START_WARNING
+    assert bench.show(after_s=3.0, **STANDING, **near(1.0), control_command=None) is Mode.OBSTACLE_STOP
+
+
+@clause("BD-5.2.4")
+@pytest.mark.parametrize(("gone_s", "start_s"), [(0.4, 3.0), (0.5, 3.0), (0.6, 3.1), (3.0, 5.5), (3.1, None)])
+def test_a_start_waits_until_the_path_was_clear_for_2500_ms(bench: Bench, gone_s: float, start_s: float | None) -> None:
+    step = partial(bench.show, after_s=0.1, **STANDING)
+    step(OperatorCommandKind.START)
+    modes = [step(**(near(1.0) if 0.1 * k < gone_s - 1e-6 else {})) for k in range(60)]
+    gone = Mode.OBSTACLE_STOP if start_s is None else Mode.AUTOMATIC
+    first = modes.index(gone)
+    assert modes[:first] == [Mode.START_WARNING] * first
+    assert first == (30 if start_s is None else round(10 * start_s))
+
+
+@clause("BD-5.2.4")
+def test_a_machine_that_rolls_during_the_start_warning_stops_at_once(bench: Bench) -> None:
+    bench.show(OperatorCommandKind.START, **STANDING)
+    assert bench.show(**near(0.3), speed_mps=1.0) is Mode.OBSTACLE_STOP
 
 
 def test_creep_speed(config: SupervisorConfig) -> None:

@@ -156,7 +156,9 @@ def test_obstacle_during_the_start_warning(world: World) -> None:
     world.run(0.2)
     world.boxes = (Box(5.0, 0.0),)
     world.order(OperatorCommandKind.START)
-    world.run(1.0)
+    world.run(2.9)
+    assert world.mode == Mode.START_WARNING
+    world.run(0.3)
     assert world.mode == Mode.OBSTACLE_STOP
     assert all(c.speed_mps == 0.0 for _, c in world.history)
 
