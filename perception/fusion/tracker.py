@@ -23,8 +23,8 @@ from perception.fusion.tracks import (
     is_line_along,
     is_moving_class,
     is_rail,
-    is_ring,
     is_upright,
+    is_view,
     match,
     merge_fragments,
     parent_tracks,
@@ -121,7 +121,7 @@ class Tracker(Node):
         is_along = is_line_along(t.size_m, t.yaw_rad, velocity)
         velocity[is_along & occupancy.continues_ahead(t.x, velocity, t.size_m, self._stamp_ns)] = 0.0
         label, confidence = classify(t, velocity)
-        velocity[is_upright(t.size_m, label) | is_ring(t.size_m, label, velocity)] = 0.0
+        velocity[is_upright(t.size_m, label) | is_view(t.size_m, label, velocity)] = 0.0
         # a track without confirmed motion stays at its last detection: its uncertain speed does not move it
         unseen_s = np.where(velocity.any(axis=1), 0.0, (self._stamp_ns - t.last_ns) * 1e-9)
         p = t.x[:, :2] - t.x[:, 2:] * unseen_s[:, None]

@@ -24,7 +24,8 @@ FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the grou
 SLENDER_M, PERSON_HEIGHT_M = 0.5, 2.0  # what is narrower and higher, of no class, is a post or the edge of a wall
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence
 LINE_M, LINE_RATIO, LINE_HEIGHT_M = 0.3, 0.2, 0.3  # the same of a line of returns, and its greatest height
-LOW_MPS = 8.0  # greatest speed of a body that is seen as a low line
+LOW_MPS = 8.0  # greatest speed of a body that is seen as a low line, or no wider than a sliver
+SLIVER_M = 0.25  # greatest length of what is seen of the next posts of a row, or of a wall, through a moving gap
 ALONG = 0.94  # cosine of 20°
 GATED_COST = 1e9
 FRAGMENT_LENGTH_RATIO = 0.6  # a shorter box of a vehicle is a fragment of it
@@ -327,9 +328,13 @@ def is_line(size_m: Float64) -> Bool:
     )
 
 
-def is_ring(size_m: Float64, label: Int64, velocity_mps: Float64) -> Bool:
-    """Which tracks (T,) of no class are low lines faster than such a body: rings on a crest as the machine pitches."""
-    return np.asarray(is_line(size_m) & (label == UNKNOWN) & (np.hypot(*velocity_mps.T) > LOW_MPS))
+def is_view(size_m: Float64, label: Int64, velocity_mps: Float64) -> Bool:
+    """Which tracks (T,) of no class are low lines or slivers faster than such a body: what is seen changes.
+
+    These are rings on a crest as the machine pitches, and posts one behind the other as it passes a gap before them.
+    """
+    is_small = is_line(size_m) | (size_m[:, 0] <= SLIVER_M)
+    return np.asarray(is_small & (label == UNKNOWN) & (np.hypot(*velocity_mps.T) > LOW_MPS))
 
 
 def is_line_along(size_m: Float64, yaw_rad: Float64, velocity_mps: Float64) -> Bool:

@@ -11,7 +11,7 @@ from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
-from perception.fusion.tracks import CLASSES, is_ring, is_upright
+from perception.fusion.tracks import CLASSES, is_upright, is_view
 from perception.lidar.classes import class_scores
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
@@ -433,7 +433,16 @@ def test_rings_on_a_crest_do_not_run() -> None:
     size_m = np.array([[1.25, 0.05, 0.1], [1.25, 0.05, 0.1], [1.25, 0.05, 0.1], [1.25, 0.05, 0.4]])
     label = np.array([unknown, unknown, vehicle, unknown])
     velocity_mps = np.array([[0.0, -13.0], [0.0, -7.9], [0.0, -13.0], [0.0, -13.0]])
-    assert is_ring(size_m, label, velocity_mps).tolist() == [True, False, False, False]
+    assert is_view(size_m, label, velocity_mps).tolist() == [True, False, False, False]
+
+
+def test_posts_seen_through_a_moving_gap_do_not_run() -> None:
+    """One after the other of a row was seen as the machine passed: a sliver 1.85 m high moved at 9.8 m/s."""
+    unknown, person = (list(CLASSES).index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON))
+    size_m = np.array([[0.1, 0.05, 1.85], [0.1, 0.05, 1.85], [0.1, 0.05, 1.85], [0.3, 0.05, 1.85]])
+    label = np.array([unknown, person, unknown, unknown])
+    velocity_mps = np.array([[2.3, -9.5], [2.3, -9.5], [0.0, -7.9], [2.3, -9.5]])
+    assert is_view(size_m, label, velocity_mps).tolist() == [True, False, False, False]
 
 
 def test_the_edge_of_a_wall_does_not_run() -> None:
