@@ -78,7 +78,7 @@ def commands_for(
         is_park_brake_set=command.is_park_brake_set,
         is_horn_on=command.is_horn_on,
         is_beacon_on=command.is_beacon_on,
-        is_folded=command.is_implement_folded if is_active else None,
+        is_folded=command.is_implement_folded if is_active and command.mode is Mode.AUTOMATIC else None,
     )
 
 

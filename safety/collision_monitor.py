@@ -45,7 +45,7 @@ from safety.zones.protective_field import (
     sweep_field,
 )
 from safety.zones.standing_bodies import Plants, StandingBodies
-from safety.zones.swept_area import outline_points
+from safety.zones.swept_area import outline_points, sweep_along
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
     CriticalObject,
@@ -97,6 +97,7 @@ class CollisionMonitor:
         self.standing_bodies = StandingBodies(config.standing_body)
         self.is_docking, self.is_under_roof = False, False
         self._footprints, self._footprint = footprints, footprints.working
+        self._unfolded = sweep_along(footprints.working, 1, np.zeros(1), np.zeros((1, 3)), 0.0, config.field, False)
         drawbar = footprints.working.drawbar
         self._hitch_angle = None if drawbar is None else HitchAngle(drawbar, footprints.max_hitch_rad)
         self._geofence, self._known_structure = geofence, known_structure
@@ -138,6 +139,12 @@ class CollisionMonitor:
         self.swept_field = swept_field
         self._update_lidars(inputs, odom, swept_field, new, is_new_footprint)
         self._update_distances(inputs, odom, swept_field, pose_map, speed_mps, braking)
+
+    def is_departure_unresolved(self, control_command: ControlCommand | None) -> bool:
+        """Whether somebody may be where the machine or its implement moves to, also by unfolding as commanded."""
+        unfolds = control_command is not None and not control_command.is_implement_folded
+        is_in_reach = unfolds and self.bystanders.is_in_reach
+        return self.departure.is_unresolved or self.bystanders.is_near or is_in_reach
 
     def confirm_clear(self) -> None:
         """An operator has confirmed that nobody is near the machine: what is held without being seen is dropped."""
@@ -260,7 +267,8 @@ class CollisionMonitor:
         is_inside = self._inside_filter(pose_odom, pose_map)
         hits = self.sources.lidar_hits_odom_m if is_standing and not self.is_docking else NOWHERE
         machine = MachineMotion(swept_field.main, pose_odom, speed_mps, odom.yaw_rate_radps, braking)
-        self.bystanders.note_returns(hits, is_inside, machine, odom.stamp_ns)
+        unfolded = self._unfolded if self._footprint is self._footprints.transport else None
+        self.bystanders.note_returns(hits, is_inside, machine, unfolded, odom.stamp_ns)
         plants = self._plants(inputs.tracks, odom)
         self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, plants)
         self._critical_object = min(
@@ -298,7 +306,7 @@ class CollisionMonitor:
         self, swept_field: SweptField, pose_odom: Float64, is_known: KnownStructureFilter | None, now_ns: int
     ) -> None:
         is_blocked = self._clearance is not None and math.isfinite(self._clearance.main_m)
-        if not is_blocked and not self.departure.is_unresolved:
+        if not is_blocked and not self.departure.is_kept:
             return
         hits = self.sources.lidar_hits_odom_m
         if is_known is not None and len(hits):

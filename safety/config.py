@@ -27,6 +27,7 @@ class BrakingConfig(Config):
     controlled_mps2: Acceleration
     full_mps2: Acceleration
     hold_mps2: Acceleration
+    hold_factor: float = Field(ge=1.0, le=5.0, description="of gravity along the slope, held at rest")
 
     @property
     def flat(self) -> Braking:
@@ -171,6 +172,7 @@ class DepartureConfig(Config):
     ahead_m: Metres = Field(description="part of the swept area in which an object counts as blocking")
     follow_m: Metres = Field(description="greatest movement of a person or animal from one scan to the next")
     away_m: Metres = Field(description="distance from the swept area at which it has left")
+    kept_m: Metres = Field(description="distance of the machine from where it was lost, beyond which it is forgotten")
 
 
 class DetectionRangeConfig(Config):
@@ -248,7 +250,9 @@ class BystanderConfig(Config):
     turn_radps: float = Field(ge=0.0, le=10.0, description="turning rate of a person or animal, at its speed")
     max_manoeuvre_mps2: float = Field(ge=0.0, le=10.0, description="largest change of velocity by it")
     closing_m: Metres = Field(description="a predicted approach by less is none")
-    follow_m: Metres = Field(description="a track this near to the last place of a lost one continues it")
+    follow_m: Metres = Field(description="a new track this near to the last place of a lost one continues it")
+    overlap_s: Seconds = Field(description="age at which a track is new then: it began while the other was seen")
+    same_m: Metres = Field(description="an older track this near to the place continues it as well")
     away_m: Metres = Field(description="distance from machine and implement at which a bystander seen there has left")
     lost_m: Metres = Field(description="the same for one that is no longer seen")
     arrived_m: Metres = Field(description="who came so much nearer to a machine at rest is a bystander")
@@ -374,6 +378,8 @@ class ModesConfig(Config):
     standstill_mps: Speed
     creep_mps: Speed = Field(description="a lower allowed speed counts as 0")
     park_after_s: Seconds
+    unsighted_s: Seconds = Field(description="at rest without sight, after which an operator confirms a start")
+    max_pending_s: Seconds = Field(description="for which a start waits for its execution")
     fold_after_s: Seconds = Field(description="standstill before the implement folds")
     seat_empty_s: Seconds = Field(description="off-delay of the seat switch")
     max_confirmation_s: float = Field(gt=0.0, le=60.0, description="longest validity of a confirm_clear")

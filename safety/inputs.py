@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from configs.sensor_kinds import SENSOR_KINDS
 from configs.vehicle import Sensors
 from messages.command import ControlCommand, MachineState
@@ -57,7 +59,7 @@ class SupervisorInputs:
             valid_odometry(inbox.latest("odom", Odometry)),
             valid_map_pose(inbox.latest("map_pose", MapPose)),
             inbox.latest("control_command", ControlCommand),
-            inbox.latest("path", Path),
+            valid_path(inbox.latest("path", Path)),
             inbox.latest("tracks", Tracks),
             fold_of(machine, self._config.limits.max_group_age_s),
             hitch_of(machine, self._config.limits.max_group_age_s),
@@ -100,3 +102,10 @@ class SupervisorInputs:
     def _is_told(self, one: MonitoredSensor, now_ns: int, inbox: Inbox) -> bool:
         last = inbox.last(one.obstacles_topic, Obstacles)
         return last is not None and abs(now_ns - last.stamp_ns) <= one.max_output_age_s * 1e9
+
+
+def valid_path(path: Path | None) -> Path | None:
+    """The path if all its poses are finite, else None."""
+    if path is None or not np.isfinite(path.s_m).all() or not np.isfinite(path.heading_rad).all():
+        return None
+    return path if np.isfinite(path.p_map_m).all() else None

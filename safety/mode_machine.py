@@ -28,11 +28,14 @@ class ModeMachine:
         self.latched: RuleResult | None = None
         self.fault_memory = FaultMemory()
         self._config = config
-        self._orders = OperatorCommands(config.authorities, config.max_confirmation_s)
+        self._orders = OperatorCommands(
+            config.authorities, config.max_confirmation_s, config.max_pending_s
+        )
         self._needs_confirmation = True
         self._was_waiting = False
         self._cause, self._is_urgent = "", False
         self._clear, self._warned, self._open = DebounceTimer(), DebounceTimer(), DebounceTimer()
+        self._unsighted = DebounceTimer()
         self._warning_s = config.start_warning_s
 
     def update(
@@ -47,11 +50,15 @@ class ModeMachine:
             self._orders.forget_start()
             self._require_confirmation()
         self._watch_waiting(mission)
+        self._watch_sight(situation)
         asked = self._orders.events(situation.now_ns, orders)
         permitted = filter_permitted(asked, situation, decision)
-        if self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns):
+        is_unconfirmed = self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns)
+        if is_unconfirmed:
             permitted -= {Event.START}
         events = permitted | self._observed(situation, decision, mission)
+        if is_unconfirmed:
+            events -= {Event.CLEAR}
         before, self.mode = self.mode, next_mode(self.mode, events)
         if Event.EMERGENCY in asked and before is not Mode.EMERGENCY_STOP:
             self.latched = COMMANDED
@@ -68,6 +75,13 @@ class ModeMachine:
         if is_waiting and not self._was_waiting:
             self._require_confirmation()
         self._was_waiting = is_waiting
+
+    def _watch_sight(self, situation: Situation) -> None:
+        """Who came while nothing was seen for a time may stand where no sensor sees them now."""
+        silent = [topic for topic in situation.timed_out_topics if topic.startswith("lidar/")]
+        is_without = bool(situation.blind or situation.frozen or silent) and not situation.is_moving
+        if self._unsighted.update(situation.now_ns, is_without) >= self._config.unsighted_s:
+            self._require_confirmation()
 
     def _observed(self, situation: Situation, decision: Decision, mission: MissionStatus | None) -> frozenset[Event]:
         """Events other than operator commands."""
@@ -95,10 +109,12 @@ class ModeMachine:
         """Whether an obstacle stops the machine: inside the stopping distance, or at standstill in the path.
 
         Before a start it does so at the end of the warning; one that was gone by then makes the warning longer.
-        One that was lost from view in the path prevents a start as well. Before a person or animal that stands in the
-        path, a machine at rest waits until it may resume, instead of creeping up.
+        One that was lost from view in the path, or that came near, keeps a machine at rest there as well, as while its
+        implement folds. Before a person or animal that stands in the path, it waits until it may resume, instead of
+        creeping up.
         """
-        if decision.is_obstacle_inside or (self.mode is Mode.START_WARNING and situation.is_departure_unresolved):
+        is_to_leave = self.mode is Mode.START_WARNING or (self.mode is Mode.AUTOMATIC and not situation.is_moving)
+        if decision.is_obstacle_inside or (is_to_leave and situation.is_departure_unresolved):
             return True
         is_body_in_path = situation.standing_body.gap_m == 0.0
         least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps
@@ -115,11 +131,12 @@ class ModeMachine:
         self._clear.update(situation.now_ns, False)
         self._open.update(situation.now_ns, False)
         if self.mode is Mode.OBSTACLE_STOP:
-            is_passable = before is Mode.START_WARNING and decision.passable_mps >= self._config.creep_mps
-            self._cause = UNCONFIRMED if is_passable else decision.blocking.code
-        if self.mode is Mode.MANUAL:
+            is_passable = not decision.is_obstacle_inside and decision.passable_mps >= self._config.creep_mps
+            is_unconfirmed = is_passable and situation.is_departure_unresolved
+            self._cause = UNCONFIRMED if is_unconfirmed else decision.blocking.code
+        if self.mode is Mode.MANUAL or (self.mode is Mode.STANDBY and self._was_waiting):
             self._require_confirmation()
-        if self.mode is Mode.START_WARNING and not is_resuming:
+        if self.mode is Mode.START_WARNING:
             self._needs_confirmation = False
             self._orders.forget_confirmation()
         self._orders.forget_start()
@@ -130,7 +147,8 @@ class ModeMachine:
         return self._orders.is_just_confirmed
 
     def _require_confirmation(self) -> None:
-        """Somebody may be near, unseen: after power-on, a clock step, manual driving, and while a mission waits."""
+        """Somebody may be near, unseen: after power-on, a clock step, manual driving, a time without sight, and while a
+        mission waits."""
         self._needs_confirmation = True
         self._orders.forget_confirmation()
 
@@ -140,7 +158,8 @@ class ModeMachine:
             return self.latched.code
         if self.mode is Mode.OBSTACLE_STOP:
             is_passable = self.resume_in_s(situation.now_ns) == 0.0
-            return UNCONFIRMED if is_passable and situation.is_departure_unresolved else self._cause
+            is_unresolved = situation.is_departure_unresolved or self._needs_confirmation
+            return UNCONFIRMED if is_passable and is_unresolved else self._cause
         if self.mode is Mode.AUTOMATIC:
             command = situation.inputs.control_command
             is_bound = command is None or decision.allowed_mps < abs(command.speed_mps) - BOUND_MPS

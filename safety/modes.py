@@ -53,7 +53,7 @@ TRANSITIONS: dict[Mode, dict[Event, Mode]] = {
     Mode.OBSTACLE_STOP: {**_ENGAGED, Event.CLEAR: Mode.START_WARNING},
     Mode.FAULT_STOP: {**_IDLE, Event.RESET: Mode.STANDBY},
     Mode.EMERGENCY_STOP: {Event.RESET: Mode.STANDBY},
-    Mode.FINISHED: {**_IDLE, Event.START: Mode.START_WARNING},
+    Mode.FINISHED: {**_IDLE, Event.START: Mode.START_WARNING, Event.RESET: Mode.STANDBY},
 }
 
 

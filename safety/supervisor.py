@@ -154,7 +154,7 @@ class Supervisor(Node):
             clock_step_s=clock_step_s,
             brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
-            is_departure_unresolved=monitor.departure.is_unresolved or monitor.bystanders.is_near,
+            is_departure_unresolved=monitor.is_departure_unresolved(inputs.control_command),
             lidar_failures=monitor.sources.lidar_failures(direction),
             vegetation_m=monitor.sources.vegetation_m,
             consent=self._consent,
@@ -172,7 +172,7 @@ class Supervisor(Node):
         return CommandInputs(
             situation.now_ns, self.mode, reason, situation.inputs.control_command, machine, vehicle.speed_mps,
             None if machine is None else machine.curvature_radpm,
-            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.has_driver,
+            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.direction, vehicle.grade_mps2, vehicle.has_driver,
             self.collision_monitor.bystanders.bars_pto(situation.now_ns),
         )  # fmt: skip
 

@@ -22,20 +22,21 @@ EVENTS = {
 class OperatorCommands:
     """Accepts or refuses commands; a start stays pending until executed, expired or superseded by another command."""
 
-    def __init__(self, authorities: tuple[str, ...], max_confirmation_s: float) -> None:
+    def __init__(self, authorities: tuple[str, ...], max_confirmation_s: float, max_pending_s: float) -> None:
         self.refused_count = 0
         self.is_just_confirmed = False
-        self._max_confirmation_ns = round(max_confirmation_s * 1e9)
+        self._max_confirmation_ns, self._max_pending_ns = (round(s * 1e9) for s in (max_confirmation_s, max_pending_s))
         self._confirmed_until_ns: int | None = None
         self._sequence = dict.fromkeys(authorities, -1)
         self._pending: OperatorCommand | None = None
+        self._pending_until_ns = 0
 
     def events(self, now_ns: int, commands: Iterable[OperatorCommand]) -> frozenset[Event]:
         """Events of the accepted commands and of a pending start."""
         accepted = [command.kind for command in commands if self._accept(now_ns, command)]
         self.is_just_confirmed = OperatorCommandKind.CONFIRM_CLEAR in accepted
         requested = {EVENTS[kind] for kind in accepted if kind in EVENTS}
-        if self._pending is not None and now_ns > self._pending.expires_ns:
+        if self._pending is not None and now_ns > self._pending_until_ns:
             self._pending = None
         return frozenset(requested - {Event.START} if self._pending is None else requested | {Event.START})
 
@@ -73,4 +74,5 @@ class OperatorCommands:
             self._confirmed_until_ns = command.expires_ns
             return True
         self._pending = command if command.kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME) else None
+        self._pending_until_ns = min(command.expires_ns, now_ns + self._max_pending_ns)
         return True

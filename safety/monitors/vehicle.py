@@ -10,7 +10,7 @@ from safety.config import SafetyConfig
 from safety.modes import WATCHED
 from safety.monitors.memory import DebounceTimer, RecentDuration, RecentRange
 from safety.pose_history import tilt_of
-from safety.stopping_distance import Braking, on_grade
+from safety.stopping_distance import GRAVITY_MPS2, Braking, on_grade
 
 # below these the conditions are within the noise
 BRAKE_COMMANDED_MPS2, BRAKE_MOVING_MPS, STEER_MOVING_MPS, DRIVE_COMMANDED_MPS = 1.0, 0.5, 0.3, 0.2
@@ -21,6 +21,8 @@ DIRECTION_MPS = 0.1
 class VehicleState:
     """Signed speed (None: unknown), highest speed of any source, direction, braking on this grade, condition durations.
 
+    `grade_mps2`: share of gravity along the slope, whatever the direction.
+
     Durations in seconds, 0 while the condition does not hold. `lasting_level_m`: lowest protection level in the
     last `protection_alert_s`. `has_driver`: the seat is occupied, with an off-delay.
     """
@@ -29,6 +31,7 @@ class VehicleState:
     fastest_mps: float
     direction: int
     braking: Braking
+    grade_mps2: float
     position_sigma_m: float
     lasting_level_m: float
     driver_override_s: float
@@ -81,6 +84,7 @@ class VehicleMonitor:
             self._fastest_mps,
             self._direction,
             on_grade(flat, self._direction * self._pitch_rad, min_mps2),
+            GRAVITY_MPS2 * abs(math.sin(self._pitch_rad)),
             position_sigma_m(map_pose),
             self._lasting_level_m(now_ns, map_pose),
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),
@@ -137,6 +141,8 @@ class VehicleMonitor:
         if odom is None or command is None or abs(odom.speed_mps) < BRAKE_MOVING_MPS:
             return False
         measured = -math.copysign(odom.acceleration_mps2, odom.acceleration_mps2 * odom.speed_mps)
+        downhill_rad = math.copysign(self._pitch_rad, self._pitch_rad * odom.speed_mps)
+        measured += GRAVITY_MPS2 * max(0.0, math.sin(downhill_rad))  # the brake holds that as well
         commanded = command.deceleration_mps2
         return commanded >= BRAKE_COMMANDED_MPS2 and measured < self._config.limits.min_brake_ratio * commanded
 

@@ -23,7 +23,11 @@ BEACON = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})
 
 @dataclass(frozen=True)
 class CommandInputs:
-    """Inputs of one safe command; `is_pto_barred`: a body moves near the machine."""
+    """Inputs of one safe command.
+
+    `direction` is that in which the machine looks and moves, `grade_mps2` the share of gravity along the slope;
+    `is_pto_barred`: a body moves near the machine.
+    """
 
     now_ns: int
     mode: Mode
@@ -35,6 +39,8 @@ class CommandInputs:
     allowed_mps: float
     clearance_m: float
     braking: Braking
+    direction: int
+    grade_mps2: float
     has_driver: bool
     is_pto_barred: bool
 
@@ -114,12 +120,14 @@ class CommandBuilder:
         if inputs.mode is not Mode.AUTOMATIC:
             asked = stopping_deceleration(abs(measured), inputs.clearance_m, braking)
             if inputs.mode is Mode.FAULT_STOP:  # debounced already: at once, with the deceleration that S assumes
-                return SpeedDemand(0.0, self._standstill_brake(max(asked, braking.deceleration_mps2)))
-            asked = self._standstill_brake(asked)
+                return SpeedDemand(0.0, self._standstill_brake(inputs, max(asked, braking.deceleration_mps2)))
+            asked = self._standstill_brake(inputs, asked)
             return SpeedDemand(
                 0.0, limit_jerk(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s)
             )
-        target = target_speed(inputs.control_command, inputs.allowed_mps, measured, modes.creep_mps)
+        target = target_speed(
+            inputs.control_command, inputs.allowed_mps, measured, modes.creep_mps, inputs.direction
+        )
         out = limit_acceleration(
             target, 0.0 if before is None else before.speed_mps, measured, self._acceleration_mps2 * dt_s
         )
@@ -127,12 +135,17 @@ class CommandBuilder:
         asked = braking_demand(
             inputs.control_command, limit, abs(measured), inputs.clearance_m, inputs.braking, braking
         )
-        asked = self._standstill_brake(asked) if target == 0.0 else asked
+        asked = self._standstill_brake(inputs, asked) if target == 0.0 else asked
         return SpeedDemand(out, limit_jerk(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s))
 
-    def _standstill_brake(self, moving_mps2: float) -> float:
+    def _standstill_brake(self, inputs: CommandInputs, moving_mps2: float) -> float:
         is_standing = self._standing_since_ns is not None
-        return max(self._config.braking.hold_mps2, 0.0 if is_standing else moving_mps2)
+        return max(self._holding_mps2(inputs), 0.0 if is_standing else moving_mps2)
+
+    def _holding_mps2(self, inputs: CommandInputs) -> float:
+        """Brake that holds the machine at rest, on a slope with a reserve, until the park brake is set."""
+        braking = self._config.braking
+        return min(braking.full_mps2, max(braking.hold_mps2, braking.hold_factor * inputs.grade_mps2))
 
     def _disabled_brake(self, inputs: CommandInputs) -> float:
         """Brake while disabled: full in an emergency; for a driver only until the first standstill.
@@ -146,7 +159,7 @@ class CommandBuilder:
         if inputs.mode is Mode.EMERGENCY_STOP and not is_standing:
             return self._config.braking.full_mps2
         if is_standing:
-            return self._config.braking.hold_mps2
+            return self._holding_mps2(inputs)
         is_manual = inputs.mode is Mode.MANUAL
         return self._config.braking.deceleration_mps2 if is_manual else self._config.braking.controlled_mps2
 

@@ -28,10 +28,15 @@ def curve_deceleration(speed_mps: float, braking: Braking) -> float:
 
 
 def target_speed(
-    control_command: ControlCommand | None, allowed_mps: float, measured_mps: float, creep_mps: float
+    control_command: ControlCommand | None, allowed_mps: float, measured_mps: float, creep_mps: float, direction: int
 ) -> float:
-    """The commanded signed speed within the limit; 0 below the creep speed, when not finite or on reversal at speed."""
+    """The commanded signed speed within the limit; 0 below the creep speed, when not finite or on reversal at speed.
+
+    Also 0 against the direction in which obstacles are looked for.
+    """
     if control_command is None or not math.isfinite(control_command.speed_mps) or allowed_mps < creep_mps:
+        return 0.0
+    if control_command.speed_mps * direction < 0.0:
         return 0.0
     is_turning_round = control_command.speed_mps * measured_mps < 0.0 and abs(measured_mps) > 2.0 * creep_mps
     return (

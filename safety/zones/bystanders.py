@@ -19,6 +19,8 @@ from geometry.arrays import Float64
 from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
+from safety.monitors.memory import DebounceTimer
+from safety.zones.departure import STILL_M, is_near
 from safety.zones.followers import Followers
 from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea
@@ -27,9 +29,10 @@ from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points,
 
 @dataclass(frozen=True)
 class Place:
-    """Last box of a bystander, points (9, 2) in odom, and whether it is seen now."""
+    """Last box of a bystander, points (9, 2) in odom, when it was seen, and whether it is seen now."""
 
     box_odom_m: Float64
+    seen_ns: int
     is_seen: bool
 
     @property
@@ -42,7 +45,8 @@ class Bystanders:
     """Follows by track number those who came; `coming` is one that reaches the machine within the prediction.
 
     `pto_off_m`: distance from machine and implement within which a moving body stops the PTO. One that comes faster
-    than at a walk stops it earlier, so that it stands when they arrive.
+    than at a walk stops it earlier, so that it stands when they arrive. `is_in_reach`: something is where the folded
+    implement would unfold to.
     """
 
     def __init__(self, config: BystanderConfig, tracked: TrackedConfig, pto_stop_s: float) -> None:
@@ -54,6 +58,8 @@ class Bystanders:
         self._followers = Followers(config, tracked)
         self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
         self._at_machine_ns: tuple[int, int] | None = None  # first and last time
+        self.is_in_reach, self._reached = False, DebounceTimer()
+        self._at_machine_odom_m = self._confirmed_odom_m = np.empty((0, 2))
         self.coming: CriticalObject | None = None
         self._close_ns: int | None = None
 
@@ -72,35 +78,50 @@ class Bystanders:
         also who follows the machine and would reach it if it stopped."""
         times_s = np.linspace(0.0, self._pto_stop_s, self._tracked.steps)
         for track in moving:
-            is_near = self._is_settled(track) and _gap_m(place_of(track), machine) <= self.pto_off_m
-            if is_near or any(self._is_coming(track, one, times_s) for one in (machine, machine.at_speed(0.0))):
+            is_close = self._is_settled(track) and _gap_m(place_of(track), machine) <= self.pto_off_m
+            if is_close or any(self._is_coming(track, one, times_s) for one in (machine, machine.at_speed(0.0))):
                 self._close_ns = now_ns
 
     def note_returns(
         self, hits_odom_m: Float64, is_inside: Callable[[Float64], np.ndarray] | None, machine: MachineMotion,
-        now_ns: int,
+        unfolded: SweptArea | None, now_ns: int,
     ) -> None:  # fmt: skip
         """Takes the confirmed returns (N, 2) about a machine at rest, none while it moves: some right at machine or
         implement, for a time, keep it standing and its PTO off.
 
         `is_inside` tests points (N, 2) in odom for the geofence, beside which fence and hedge stand; None: not known.
+        `unfolded`: area of the bodies when a folded implement will have unfolded.
         """
-        hits = from_frame(machine.pose_odom, hits_odom_m)
-        gaps_m = distance_to_bodies_m(hits, machine.area, np.zeros(len(hits)))
-        near, last = hits_odom_m[gaps_m <= self._config.at_machine_m], self._at_machine_ns
-        if len(near) and (is_inside is None or is_inside(near).any()):
+        if is_inside is not None and len(hits_odom_m):
+            hits_odom_m = hits_odom_m[is_inside(hits_odom_m)]
+        near, last = hits_odom_m[self._is_at(hits_odom_m, machine.area, machine.pose_odom)], self._at_machine_ns
+        is_reached = unfolded is not None and bool(self._is_at(hits_odom_m, unfolded, machine.pose_odom).any())
+        self.is_in_reach = self._reached.update(now_ns, is_reached) >= self._config.at_machine_s
+        self._at_machine_odom_m = near
+        if len(near) and len(self._confirmed_odom_m):
+            near = near[~is_near(near, self._confirmed_odom_m, STILL_M)]
+        if len(near):
             self._at_machine_ns = (now_ns if last is None else last[0], now_ns)
         elif last is not None and now_ns - last[1] > self._config.at_machine_s * 1e9:
             self._at_machine_ns = None
         if self._is_at_machine:
             self._close_ns = now_ns
 
+    def _is_at(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64) -> np.ndarray:
+        """Whether each return (N, 2) is right at the bodies of an area, (N,) bool."""
+        hits = from_frame(pose_odom, hits_odom_m)
+        return distance_to_bodies_m(hits, area, np.zeros(len(hits))) <= self._config.at_machine_m
+
     def bars_pto(self, now_ns: int) -> bool:
         """Whether a body moves near machine or implement, or did a moment ago."""
         return self._close_ns is not None and now_ns - self._close_ns <= self._config.pto_hold_s * 1e9
 
     def forget_unseen(self) -> None:
-        """An operator has confirmed that nobody is near the machine: only who is seen there remains."""
+        """An operator has confirmed that nobody is near the machine: only who is seen there remains.
+
+        What stands right at the machine now is nobody, while it stays there.
+        """
+        self._confirmed_odom_m, self._at_machine_ns = self._at_machine_odom_m, None
         self._places = {number: place for number, place in self._places.items() if place.is_seen}
 
     def update(
@@ -189,18 +210,28 @@ class Bystanders:
         return age_s >= self._config.min_unclassified_age_s and not is_edge
 
     def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:
-        """Each bystander at its new place, under the number of the track that continues it."""
+        """Each bystander at its new place, under the number of the track that continues it.
+
+        A track continues one bystander, and one that was seen beside it before only where it now is itself.
+        """
+        free = {number: track for number, track in seen.items() if number not in self._places}
         for number, place in self._places.items():
-            track = seen.get(number) or nearest_track(seen.values(), place, self._config.follow_m)
+            track = seen.get(number)
+            if track is None:
+                since_ns = place.seen_ns - round(self._config.overlap_s * 1e9)
+                new = [one for one in free.values() if one.first_seen_ns >= since_ns]
+                track = nearest_track(new, place, self._config.follow_m)
+                track = track or nearest_track(free.values(), place, self._config.same_m)
             if track is None:
                 yield number, replace(place, is_seen=False)
             else:
+                free.pop(track.id, None)
                 yield track.id, place_of(track)
 
 
 def place_of(track: Track) -> Place:
     """The present place of a track."""
-    return Place(box_points(track), True)
+    return Place(box_points(track), track.last_seen_ns, True)
 
 
 def nearest_track(tracks: Iterable[Track], place: Place, within_m: float) -> Track | None:

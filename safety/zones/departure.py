@@ -2,7 +2,8 @@
 
 A person who stops the machine and walks away is followed from scan to scan by returns alone. One who is no longer seen
 without having left may lie before the machine, or have entered a zone that no sensor covers. Returns that vanish within
-less than `seen_s`, right before the machine `seen_near_s`, are no body: dust, a bird, single plants.
+less than `seen_s`, right before the machine `seen_near_s`, are no body: dust, a bird, single plants. What stood beside
+all the time is not who left. Who was lost stays where they were while another path does not lead there.
 """
 
 import numpy as np
@@ -13,6 +14,7 @@ from safety.config import DepartureConfig
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
 
 NOWHERE = np.empty((0, 2))
+STILL_M = 0.15  # within which a return in the next scans is of the same thing
 
 
 class Departure:
@@ -21,11 +23,17 @@ class Departure:
     def __init__(self, config: DepartureConfig) -> None:
         self._config = config
         self._last_seen_odom_m: Float64 = NOWHERE
-        self._span_ns, self._is_near = (0, 0), False
+        self._beside_odom_m: Float64 = NOWHERE  # what stood beside the area since it was blocked
+        self._span_ns, self._is_near, self._is_ahead = (0, 0), False, False
 
     @property
     def is_unresolved(self) -> bool:
         """Whether what blocked the swept area, seen for long enough, has not been seen leaving it."""
+        return self.is_kept and self._is_ahead
+
+    @property
+    def is_kept(self) -> bool:
+        """The same, though another path may not lead there."""
         first_ns, last_ns = self._span_ns
         return len(self._last_seen_odom_m) > 0 and last_ns - first_ns >= self._seen_ns
 
@@ -43,21 +51,35 @@ class Departure:
         blocking = hits_odom_m[distance_m <= self._config.ahead_m]
         if len(blocking):
             first_ns, last_ns = self._span_ns
-            is_new = not self.is_unresolved and now_ns - last_ns > self._seen_ns
+            is_new = not self.is_kept and now_ns - last_ns > self._seen_ns
+            beside = hits_odom_m[distance_m > self._config.ahead_m]
+            self._beside_odom_m = beside if is_new else still(self._beside_odom_m, beside)
             self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
+            self._is_ahead = True
             self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
-        elif self.is_unresolved:
+        elif self.is_kept:
             followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
+            if len(followed) and len(self._beside_odom_m):
+                followed = followed[~is_near(followed, self._beside_odom_m, STILL_M)]
             if len(followed):
                 self._last_seen_odom_m = followed
             gap_m = self._distance_m(self._last_seen_odom_m, area, pose_odom, self._config.away_m)
-            if not (gap_m <= self._config.ahead_m).any():
+            self._is_ahead = bool((gap_m <= self._config.ahead_m).any())
+            is_far = np.hypot(*(self._last_seen_odom_m - pose_odom[:2]).T).min() > self._config.kept_m
+            if is_far or (len(followed) and not self._is_ahead):
                 self._last_seen_odom_m = NOWHERE
 
     @staticmethod
     def _distance_m(points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> Float64:
         """Distance to each point (N, 2) along the area widened by `aside_m` on each side, (N,), infinite beside it."""
         return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
+
+
+def still(points_m: Float64, now_m: Float64) -> Float64:
+    """Those of the points (N, 2) at which there are returns (M, 2) now."""
+    if not len(points_m) or not len(now_m):
+        return NOWHERE
+    return points_m[is_near(points_m, now_m, STILL_M)]
 
 
 def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:

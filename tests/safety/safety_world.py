@@ -442,7 +442,7 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
     )  # fmt: skip
     speed_mps, is_known = changes.pop("speed_mps", 2.0), changes.pop("is_speed_known", True)
     vehicle = VehicleState(
-        speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.01,
+        speed_mps if is_known else None, speed_mps, 1, config.braking.flat, 0.0, 0.01,
         math.inf if math.isnan(level := inputs.map_pose.protection_level_m) else level, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
             False,
     )  # fmt: skip

@@ -257,7 +257,7 @@ def test_lost_beside_the_machine(bystanders: Bystanders, area: SweptArea, config
 
 def test_another_track_continues_a_lost_one(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
     assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5))
-    see(bystanders, area, person(WING_X, 4.0 + config.bystanders.follow_m - 0.01, id=5))
+    see(bystanders, area, person(WING_X, 4.0 + config.bystanders.follow_m - 0.01, id=5, age_s=0.5))
     assert bystanders.is_near
     see(bystanders, area, person(WING_X, 9.0, id=5))
     assert not bystanders.is_near
@@ -266,6 +266,55 @@ def test_another_track_continues_a_lost_one(bystanders: Bystanders, area: SweptA
     assert nearest_track([far, near], place, 1.0) is near
     assert nearest_track([far], place, 0.8) is None
     assert nearest_track([], place, 9.0) is None
+
+
+@clause("BD-5.2.4")
+@pytest.mark.parametrize(("beside_m", "continues"), [(0.45, True), (0.8, False)])
+def test_who_stood_beside_is_not_who_was_lost(
+    bystanders: Bystanders, area: SweptArea, beside_m: float, continues: bool
+) -> None:
+    post = person(WING_X, 4.0 + beside_m, id=5, label=ObstacleClass.POLE)
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5), post)
+    see(bystanders, area, post, at_s=1.0)
+    see(bystanders, area, replace(post, p_odom_m=np.array([WING_X, 9.0, 0.8])), at_s=2.0)
+    assert bystanders.is_near != continues
+
+
+@clause("BD-5.2.4")
+def test_one_who_leaves_is_one_of_two(bystanders: Bystanders, area: SweptArea) -> None:
+    assert see(bystanders, area, person(WING_X, 4.0, vy=-1.5), person(WING_X, 4.3, vy=-1.5, id=2))
+    one = person(WING_X, 4.2, id=5, age_s=0.3)
+    see(bystanders, area, one)
+    see(bystanders, area, replace(one, p_odom_m=np.array([WING_X, 9.0, 0.8])))
+    assert bystanders.is_near
+
+
+@clause("BD-5.2.4")
+def test_what_stands_at_the_machine_when_an_operator_confirms_is_nobody(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    stone, dog = np.array([(-2.6, 0.0)]), np.array([(-2.6, 0.0), (-2.6, 0.5)])
+    now_ns = START_NS
+    for hits, is_near in ((stone, True), (stone, False), (dog, True)):
+        for _ in range(2):
+            bystanders.note_returns(hits, None, at_rest(area), None, now_ns)
+            now_ns += round(config.bystanders.at_machine_s * 1e9)
+        assert bystanders.is_near == is_near
+        bystanders.forget_unseen()
+
+
+@clause("BD-5.2.4")
+def test_what_is_where_the_implement_unfolds_to(
+    bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
+) -> None:
+    somebody, folded = np.array([(WING_X, 3.0)]), replace(area, bodies=area.bodies[:1])
+    for k, is_in_reach in enumerate((False, True)):
+        bystanders.note_returns(
+            somebody, None, at_rest(folded), area, START_NS + k * round(config.bystanders.at_machine_s * 1e9)
+        )
+        assert (bystanders.is_in_reach, bystanders.is_near) == (is_in_reach, False)
+    bystanders.forget_unseen()  # a wing would still hit it
+    assert bystanders.is_in_reach
 
 
 def test_unconfirmed_track_continues_nobody(bystanders: Bystanders, area: SweptArea) -> None:
@@ -437,17 +486,17 @@ def test_what_is_right_at_a_machine_at_rest_keeps_it(
     ):
         dog = np.array([(rear_m - gap_m, 0.0)])
         for after_ns in (0, least_ns - 1):
-            bystanders.note_returns(dog, None, at_rest(area), START_NS + after_ns)
+            bystanders.note_returns(dog, None, at_rest(area), None, START_NS + after_ns)
             assert not bystanders.is_near
-        bystanders.note_returns(dog, None, at_rest(area), START_NS + least_ns)
+        bystanders.note_returns(dog, None, at_rest(area), None, START_NS + least_ns)
         assert (bystanders.is_near, bystanders.bars_pto(START_NS + least_ns)) == (is_near, is_near)
     fenced = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
     for after_ns in (0, least_ns):  # the fence of the field
-        fenced.note_returns(dog, lambda points: np.zeros(len(points), bool), at_rest(area), START_NS + after_ns)
+        fenced.note_returns(dog, lambda points: np.zeros(len(points), bool), at_rest(area), None, START_NS + after_ns)
         assert not fenced.is_near
     nothing = np.empty((0, 2))
     for after_ns, is_near in ((2 * least_ns, True), (2 * least_ns + 1, False)):  # one scan may miss it
-        bystanders.note_returns(nothing, None, at_rest(area), START_NS + after_ns)
+        bystanders.note_returns(nothing, None, at_rest(area), None, START_NS + after_ns)
         assert bystanders.is_near == is_near
 
 

@@ -125,7 +125,7 @@ def make(
             lidar_hits_odom_m=np.array([(8.0, 2.0)]), holes_odom_m=np.empty((0, 2)), forget_held=Spy(None),
             vegetation_m=0.0,
         )  # fmt: skip
-        collision_monitor.departure = SimpleNamespace(is_unresolved=False, update=Spy(None), forget=Spy(None))
+        collision_monitor.departure = SimpleNamespace(is_kept=False, update=Spy(None), forget=Spy(None))
         collision_monitor.standing_bodies = SimpleNamespace(
             update=Spy(None), hidden=NO_CRITICAL_OBJECT, forget_hidden=Spy(None)
         )
@@ -498,7 +498,7 @@ def test_departure_is_followed_while_blocked_or_unresolved(
         collision_monitor.sources.clearance.answer = clearance
         look(collision_monitor, config, replace(SEEN, tracks=None if clearance is None else SEEN.tracks))
         assert len(collision_monitor.departure.update.calls) == count
-    collision_monitor.departure.is_unresolved = True
+    collision_monitor.departure.is_kept = True
     look(collision_monitor, config)
     assert len(collision_monitor.departure.update.calls) == count + 1
     collision_monitor.bystanders = SimpleNamespace(forget_unseen=Spy(None))

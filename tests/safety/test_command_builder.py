@@ -25,7 +25,7 @@ class Bench:
         self.command_builder, self.now_ns = CommandBuilder(vehicle, config), START_NS
         self.inputs = CommandInputs(START_NS, Mode.STANDBY, "", CONTROL_COMMAND, machine_state(START_NS), 0.0, 0.0,
         8.0, math.inf,
-                             config.braking.flat, False, False)  # fmt: skip
+                             config.braking.flat, 1, 0.0, False, False)  # fmt: skip
 
     def show(self, after_s: float = STEP_S, **changes: Any) -> SafeCommand:
         """The command after a time; changes of the inputs persist."""
@@ -101,7 +101,10 @@ def test_braking_to_a_limit(bench: Bench) -> None:
         == 0.7
     )
     assert (
-        bench.show(measured_mps=-2.0, control_command=replace(CONTROL_COMMAND, speed_mps=-2.0)).deceleration_mps2 == 0.0
+        bench.show(
+            measured_mps=-2.0, direction=-1, control_command=replace(CONTROL_COMMAND, speed_mps=-2.0)
+        ).deceleration_mps2
+        == 0.0
     )
     assert bench.show(allowed_mps=1.0).deceleration_mps2 > 0.06
     assert bench.show(control_command=None, measured_mps=None, allowed_mps=8.0).speed_mps == 0.0

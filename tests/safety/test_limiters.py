@@ -26,19 +26,21 @@ def control_command(speed: float = 2.0, acceleration: float = 0.0, curvature: fl
 
 
 def test_target_speed() -> None:
-    assert target_speed(None, 5.0, 0.0, 0.1) == 0.0
-    assert target_speed(control_command(math.nan), 5.0, 0.0, 0.1) == 0.0
-    assert target_speed(control_command(2.0), 5.0, 0.0, 0.1) == 2.0
-    assert target_speed(control_command(-2.0), 1.0, 0.0, 0.1) == -1.0
-    assert target_speed(control_command(-2.0), 1.0, 1.0, 0.1) == 0.0
-    assert target_speed(control_command(0.03), 5.0, 0.0, 0.1) == 0.03  # control's own last centimetres
-    assert math.copysign(1.0, target_speed(control_command(0.0), 5.0, 0.0, 0.1)) == 1.0
-    assert target_speed(control_command(2.0), 5.0, 1.0, 0.1) == 2.0
-    assert target_speed(control_command(0.4), 5.0, 1.0, 0.1) == 0.4
-    assert target_speed(control_command(-2.0), 1.0, 0.2, 0.1) == -1.0  # creeping, it may turn round
-    assert target_speed(control_command(-2.0), 1.0, 0.21, 0.1) == 0.0
+    assert target_speed(None, 5.0, 0.0, 0.1, 1) == 0.0
+    assert target_speed(control_command(math.nan), 5.0, 0.0, 0.1, 1) == 0.0
+    assert target_speed(control_command(2.0), 5.0, 0.0, 0.1, 1) == 2.0
+    assert target_speed(control_command(-2.0), 1.0, 0.0, 0.1, -1) == -1.0
+    assert target_speed(control_command(-2.0), 1.0, 1.0, 0.1, -1) == 0.0
+    for speed_mps in (-2.0, 2.0):  # where nothing is looked for
+        assert target_speed(control_command(speed_mps), 1.0, 0.0, 0.1, round(-0.5 * speed_mps)) == 0.0
+    assert target_speed(control_command(0.03), 5.0, 0.0, 0.1, 1) == 0.03  # control's own last centimetres
+    assert math.copysign(1.0, target_speed(control_command(0.0), 5.0, 0.0, 0.1, 1)) == 1.0
+    assert target_speed(control_command(2.0), 5.0, 1.0, 0.1, 1) == 2.0
+    assert target_speed(control_command(0.4), 5.0, 1.0, 0.1, 1) == 0.4
+    assert target_speed(control_command(-2.0), 1.0, 0.2, 0.1, -1) == -1.0  # creeping, it may turn round
+    assert target_speed(control_command(-2.0), 1.0, 0.21, 0.1, -1) == 0.0
     for allowed in around(0.1, 0.01):
-        assert (target_speed(control_command(2.0), allowed, 0.0, 0.1) > 0.0) == (allowed >= 0.1), allowed
+        assert (target_speed(control_command(2.0), allowed, 0.0, 0.1, 1) > 0.0) == (allowed >= 0.1), allowed
 
 
 def test_acceleration_limit() -> None:

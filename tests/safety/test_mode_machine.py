@@ -173,7 +173,8 @@ def test_no_resume_while_a_departure_is_unresolved(bench: Bench) -> None:
     bench.show(after_s=2.5, **STANDING)
     bench.show(**STANDING)
     assert bench.show(after_s=1.5, **STANDING) is Mode.AUTOMATIC
-    assert bench.show(**lost) is Mode.AUTOMATIC  # only standstill shows whether it has left
+    assert bench.show(**lost | {"speed_mps": 1.0}) is Mode.AUTOMATIC  # only standstill shows whether it has left
+    assert (bench.show(**lost), bench.reason) == (Mode.OBSTACLE_STOP, "operator_command.unconfirmed")
 
 
 def test_resume_speed(config: SupervisorConfig) -> None:
@@ -249,7 +250,7 @@ def test_no_creeping_up_to_a_body_that_stands_in_the_path(config: SupervisorConf
         body = StandingBody(0.83, gap_m, ObstacleClass.ANIMAL)
         bench = Bench(config).driving()
         assert bench.show(**near(distance), speed_mps=0.2, standing_body=body) is Mode.AUTOMATIC
-        assert bench.show(**STANDING, **near(distance), standing_body=body, is_departure_unresolved=True) is mode
+        assert bench.show(**STANDING, **near(distance), standing_body=body) is mode
         assert bench.reason == "protective_field"
         assert bench.show(after_s=2.5, **STANDING, **near(distance), standing_body=body) is mode  # until it may resume
 

@@ -36,7 +36,8 @@ def test_transition_table() -> None:
         m.OBSTACLE_STOP: engaged | {e.CLEAR: m.START_WARNING},
         m.FAULT_STOP: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.RESET: m.STANDBY},
         m.EMERGENCY_STOP: {e.RESET: m.STANDBY},
-        m.FINISHED: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING},
+        m.FINISHED: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING,
+                     e.RESET: m.STANDBY},
     }
     for mode in Mode:
         for event in Event:
@@ -99,7 +100,7 @@ def test_event_of_each_operator_command() -> None:
                 OperatorCommandKind.MANUAL: Event.MANUAL,
                 OperatorCommandKind.AUTOMATIC: Event.AUTOMATIC}  # fmt: skip
     for kind in OperatorCommandKind:
-        events = OperatorCommands(("operator",), 60.0).events(0, [order(kind)])
+        events = OperatorCommands(("operator",), 60.0, 30.0).events(0, [order(kind)])
         assert events == ({expected[kind]} if kind in expected else frozenset())
 
 
@@ -108,7 +109,7 @@ OTHERS = (OperatorCommandKind.EMERGENCY_STOP, OperatorCommandKind.NUDGE)  # alwa
 
 @pytest.mark.parametrize("kind", [k for k in OperatorCommandKind if k not in OTHERS])
 def test_refused_operator_commands(kind: OperatorCommandKind) -> None:
-    orders = OperatorCommands(("operator", "remote"), 60.0)
+    orders = OperatorCommands(("operator", "remote"), 60.0, 30.0)
 
     def is_accepted(command: OperatorCommand, now_ns: int = 0) -> bool:
         orders.forget_start()
@@ -127,19 +128,19 @@ def test_refused_operator_commands(kind: OperatorCommandKind) -> None:
 
 
 def test_first_sequence_and_expiry() -> None:
-    orders = OperatorCommands(("operator",), 60.0)
+    orders = OperatorCommands(("operator",), 60.0, 30.0)
     assert orders.events(0, [order(OperatorCommandKind.PAUSE, -1)]) == frozenset()
     assert orders.events(100, [order(OperatorCommandKind.PAUSE, 0)]) == {Event.PAUSE}
 
 
 def test_emergency_stop_without_authority() -> None:
-    orders = OperatorCommands(("operator",), 60.0)
+    orders = OperatorCommands(("operator",), 60.0, 30.0)
     stop = order(OperatorCommandKind.EMERGENCY_STOP, -5, "passer-by", -1)
     assert orders.events(1000, [stop, stop]) == {Event.EMERGENCY}
 
 
 def test_waiting_start() -> None:
-    orders = OperatorCommands(("operator",), 60.0)
+    orders = OperatorCommands(("operator",), 60.0, 30.0)
     assert orders.events(0, [order(OperatorCommandKind.START, 1)]) == {Event.START}
     for now in around(100, 1):
         assert orders.events(int(now), []) == ({Event.START} if now <= 100 else frozenset()), now
@@ -150,7 +151,7 @@ def test_waiting_start() -> None:
         OperatorCommandKind.AUTOMATIC,
         OperatorCommandKind.EMERGENCY_STOP,
     ):
-        orders = OperatorCommands(("operator",), 60.0)
+        orders = OperatorCommands(("operator",), 60.0, 30.0)
         orders.events(0, [order(OperatorCommandKind.START, 1)])
         assert Event.START not in orders.events(1, [order(other, 2)])
         assert orders.events(2, []) == frozenset()

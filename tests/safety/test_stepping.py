@@ -73,7 +73,7 @@ def make(machine: Vehicle, implement, config: SupervisorConfig, geofence: Geofen
 
 
 def measured(config: SupervisorConfig, speed_mps: float | None = -1.5) -> VehicleState:
-    return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.03, 0.07, 0.1, 0.2, 0.3, 0.35, 0.4, 0.5, True)
+    return VehicleState(speed_mps, 1.5, -1, config.braking.flat, 0.0, 0.03, 0.07, 0.1, 0.2, 0.3, 0.35, 0.4, 0.5, True)
 
 
 def source(name: str, covers: int, is_frozen: bool) -> Any:
@@ -94,7 +94,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
             standing_bodies=SimpleNamespace(slowest=NO_STANDING_BODY), geofence_distance_m=Spy(8.0),
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
-            departure=SimpleNamespace(is_unresolved=True), confirm_clear=Spy(None),
+            is_departure_unresolved=lambda command: command is not None, confirm_clear=Spy(None),
             bystanders=SimpleNamespace(bars_pto=Spy(True)),
             swept_field=SimpleNamespace(is_planned=True),
             pose_history=SimpleNamespace(driven_m=12.0),
