@@ -28,9 +28,7 @@ class ModeMachine:
         self.latched: RuleResult | None = None
         self.fault_memory = FaultMemory()
         self._config = config
-        self._orders = OperatorCommands(
-            config.authorities, config.max_confirmation_s, config.max_pending_s
-        )
+        self._orders = OperatorCommands(config.authorities, config.max_confirmation_s, config.max_pending_s)
         self._needs_confirmation = True
         self._was_waiting = False
         self._cause, self._is_urgent = "", False
@@ -46,7 +44,7 @@ class ModeMachine:
         mission: MissionStatus | None,
     ) -> None:
         """Takes the transition of this step."""
-        if situation.clock_step_s != 0.0:
+        if situation.clock_step_s != 0.0 or situation.has_pose_jumped:
             self._orders.forget_start()
             self._require_confirmation()
         self._watch_waiting(mission)
@@ -147,8 +145,8 @@ class ModeMachine:
         return self._orders.is_just_confirmed
 
     def _require_confirmation(self) -> None:
-        """Somebody may be near, unseen: after power-on, a clock step, manual driving, a time without sight, and while a
-        mission waits."""
+        """Somebody may be near, unseen: after power-on, a step of the clock or the pose, manual driving, a time without
+        sight, and while a mission waits."""
         self._needs_confirmation = True
         self._orders.forget_confirmation()
 

@@ -85,9 +85,11 @@ class ObstacleSources:
         return max((source.vegetation_m for source in self.lidars), default=0.0)
 
     def forget_held(self) -> None:
-        """Drops the hits that are held in blind zones."""
+        """Drops the hits that are held in blind zones, and those of sensors without new data."""
         for source in self.lidars:
             source.forget_held()
+        for sensor in (*self.radars, *self.ultrasonics):
+            sensor.forget()
 
     def update(self, data: SourceData, pose_history: PoseHistory, odom: Odometry) -> bool:
         """Processes new radar and ultrasonic data; returns whether any of it has, or had before, a confirmed echo."""

@@ -10,6 +10,7 @@ from geometry.pose2 import Pose2
 from messages.motion import MapPose, Odometry
 
 KEEP_NS = 1_000_000_000
+JUMP_M = 0.3
 
 
 def planar_pose(T: Float64) -> Float64:
@@ -36,20 +37,25 @@ def valid_map_pose(pose: MapPose | None) -> MapPose | None:
 
 
 class PoseHistory:
-    """Poses of base in odom over the last second; `driven_m` is the distance driven since the first."""
+    """Poses of base in odom over the last second; `driven_m` is the distance driven since the first.
+
+    `has_jumped`: the last one is farther from the one before than the speed explains.
+    """
 
     def __init__(self) -> None:
-        self.driven_m = 0.0
+        self.driven_m, self.has_jumped = 0.0, False
         self._poses: deque[tuple[int, Float64]] = deque()
 
     def add(self, odom: Odometry) -> None:
         """Adds the newest odometry; one that is not newer than the last is ignored."""
-        pose = planar_pose(odom.T_odom_base)
+        pose, self.has_jumped = planar_pose(odom.T_odom_base), False
         if self._poses:
             stamp_ns, before = self._poses[-1]
             if odom.stamp_ns <= stamp_ns:
                 return
-            self.driven_m += math.hypot(pose[0] - before[0], pose[1] - before[1])
+            way_m = math.hypot(pose[0] - before[0], pose[1] - before[1])
+            self.driven_m += way_m
+            self.has_jumped = way_m > abs(odom.speed_mps) * (odom.stamp_ns - stamp_ns) * 1e-9 + JUMP_M
         self._poses.append((odom.stamp_ns, pose))
         while odom.stamp_ns - self._poses[0][0] > KEEP_NS:
             self._poses.popleft()

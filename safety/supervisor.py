@@ -152,6 +152,7 @@ class Supervisor(Node):
             geofence_distance_m=monitor.geofence_distance_m(),
             is_foldable=self._footprints.is_foldable,
             clock_step_s=clock_step_s,
+            has_pose_jumped=monitor.pose_history.has_jumped,
             brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
             is_departure_unresolved=monitor.is_departure_unresolved(inputs.control_command),

@@ -125,9 +125,7 @@ class CommandBuilder:
             return SpeedDemand(
                 0.0, limit_jerk(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s)
             )
-        target = target_speed(
-            inputs.control_command, inputs.allowed_mps, measured, modes.creep_mps, inputs.direction
-        )
+        target = target_speed(inputs.control_command, inputs.allowed_mps, measured, modes.creep_mps, inputs.direction)
         out = limit_acceleration(
             target, 0.0 if before is None else before.speed_mps, measured, self._acceleration_mps2 * dt_s
         )

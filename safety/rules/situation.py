@@ -25,7 +25,8 @@ class Situation:
     `frozen` the lidars that repeat one scan, `blind` those that look in the direction of travel and detect nothing,
     `lost` the failed sensors of other kinds, `proven_m` the detection range. `gap` is None before the first scan.
     `geofence_m` is the distance to drive inside the geofence (None: position unknown; below 0: outside), `survey_m`
-    that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step. `is_departure_unresolved`:
+    that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step, `has_pose_jumped`: the pose
+    in odom did. `is_departure_unresolved`:
     what blocked the path was lost from view in it, or a bystander has not been seen leaving. `lidar_failures`: lidars
     that measure wrongly. `vegetation_m`: height of the plants around the machine.
     """
@@ -49,6 +50,7 @@ class Situation:
     geofence_distance_m: float | None
     is_foldable: bool
     clock_step_s: float
+    has_pose_jumped: bool
     brake_test: Phase
     sensor_failures: tuple[SensorFailure, ...]
     is_departure_unresolved: bool

@@ -43,6 +43,11 @@ class RadarSource:
         """Whether the last cycles are identical."""
         return self._equal_scans >= self._config.frozen_cycles
 
+    def forget(self) -> None:
+        """Drops what was detected."""
+        self._cycles.clear()
+        self.hits = np.empty((0, 4))
+
     def update(self, scan: RadarScan, pose_odom: Float64, odom: Odometry, footprint: Footprint) -> None:
         """Processes a cycle; `pose_odom` (3,) is base at its stamp."""
         self._equal_scans = self._equal_scans + 1 if is_same(scan, self._last) else 0

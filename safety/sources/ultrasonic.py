@@ -48,6 +48,10 @@ class UltrasonicSource:
         self._echoes: deque[Echo] = deque(maxlen=SUCCESSIVE)
         self._confirmed: Echo | None = None
 
+    def forget(self) -> None:
+        """Drops the confirmed echo."""
+        self._confirmed, self.echo_arc_odom_m = None, np.empty((0, 2))
+
     def update(self, message: UltrasonicRange, pose_odom: Float64, odom: Odometry) -> None:
         """Processes a measurement; `pose_odom` (3,) is base at its stamp."""
         before, travel_m = self._measured, 0.0

@@ -29,11 +29,12 @@ from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points,
 
 @dataclass(frozen=True)
 class Place:
-    """Last box of a bystander, points (9, 2) in odom, when it was seen, and whether it is seen now."""
+    """Last box of a bystander, points (9, 2) in odom, when it was seen, whether it is seen now and may walk."""
 
     box_odom_m: Float64
     seen_ns: int
     is_seen: bool
+    may_walk: bool
 
     @property
     def center_odom_m(self) -> Float64:
@@ -117,12 +118,12 @@ class Bystanders:
         return self._close_ns is not None and now_ns - self._close_ns <= self._config.pto_hold_s * 1e9
 
     def forget_unseen(self) -> None:
-        """An operator has confirmed that nobody is near the machine: only who is seen there remains.
+        """An operator has confirmed that nobody is near the machine: only a person or animal that is seen there remains.
 
         What stands right at the machine now is nobody, while it stays there.
         """
         self._confirmed_odom_m, self._at_machine_ns = self._at_machine_odom_m, None
-        self._places = {number: place for number, place in self._places.items() if place.is_seen}
+        self._places = {n: place for n, place in self._places.items() if place.is_seen and place.may_walk}
 
     def update(
         self, beside: Sequence[Track], ahead: Iterable[Track], near: Iterable[Track], tracks: Tracks | None,
@@ -231,7 +232,7 @@ class Bystanders:
 
 def place_of(track: Track) -> Place:
     """The present place of a track."""
-    return Place(box_points(track), track.last_seen_ns, True)
+    return Place(box_points(track), track.last_seen_ns, True, track.label in MAY_WALK)
 
 
 def nearest_track(tracks: Iterable[Track], place: Place, within_m: float) -> Track | None:

@@ -6,6 +6,8 @@ less than `seen_s`, right before the machine `seen_near_s`, are no body: dust, a
 all the time is not who left. Who was lost stays where they were while another path does not lead there.
 """
 
+from collections import deque
+
 import numpy as np
 
 from geometry.arrays import Float64
@@ -15,6 +17,7 @@ from safety.zones.swept_area import SweptArea, distance_to_contact_m
 
 NOWHERE = np.empty((0, 2))
 STILL_M = 0.15  # within which a return in the next scans is of the same thing
+BESIDE_NS, AGO_NS = 1_000_000_000, 300_000_000
 
 
 class Departure:
@@ -23,7 +26,7 @@ class Departure:
     def __init__(self, config: DepartureConfig) -> None:
         self._config = config
         self._last_seen_odom_m: Float64 = NOWHERE
-        self._beside_odom_m: Float64 = NOWHERE  # what stood beside the area since it was blocked
+        self._beside: deque[tuple[int, Float64]] = deque()  # what was beside the area while it was blocked
         self._span_ns, self._is_near, self._is_ahead = (0, 0), False, False
 
     @property
@@ -52,15 +55,15 @@ class Departure:
         if len(blocking):
             first_ns, last_ns = self._span_ns
             is_new = not self.is_kept and now_ns - last_ns > self._seen_ns
-            beside = hits_odom_m[distance_m > self._config.ahead_m]
-            self._beside_odom_m = beside if is_new else still(self._beside_odom_m, beside)
+            self._note_beside(hits_odom_m[distance_m > self._config.ahead_m], now_ns)
             self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
             self._is_ahead = True
             self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
         elif self.is_kept:
             followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
-            if len(followed) and len(self._beside_odom_m):
-                followed = followed[~is_near(followed, self._beside_odom_m, STILL_M)]
+            beside = self._stood_beside()
+            if len(followed) and len(beside):
+                followed = followed[~is_near(followed, beside, STILL_M)]
             if len(followed):
                 self._last_seen_odom_m = followed
             gap_m = self._distance_m(self._last_seen_odom_m, area, pose_odom, self._config.away_m)
@@ -69,17 +72,20 @@ class Departure:
             if is_far or (len(followed) and not self._is_ahead):
                 self._last_seen_odom_m = NOWHERE
 
+    def _note_beside(self, points_odom_m: Float64, now_ns: int) -> None:
+        self._beside.append((now_ns, points_odom_m))
+        while not 0 <= now_ns - self._beside[0][0] <= BESIDE_NS:
+            self._beside.popleft()
+
+    def _stood_beside(self) -> Float64:
+        """What was beside the area some time before it was last blocked: who leaves was not there yet."""
+        before_ns = self._span_ns[1] - AGO_NS
+        return np.concatenate([NOWHERE, *(points for seen_ns, points in self._beside if seen_ns <= before_ns)])
+
     @staticmethod
     def _distance_m(points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> Float64:
         """Distance to each point (N, 2) along the area widened by `aside_m` on each side, (N,), infinite beside it."""
         return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
-
-
-def still(points_m: Float64, now_m: Float64) -> Float64:
-    """Those of the points (N, 2) at which there are returns (M, 2) now."""
-    if not len(points_m) or not len(now_m):
-        return NOWHERE
-    return points_m[is_near(points_m, now_m, STILL_M)]
 
 
 def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:

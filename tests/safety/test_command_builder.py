@@ -271,3 +271,13 @@ def test_half_folded_counts_as_folded(vehicle: Vehicle, config: SafetyConfig) ->
             fold >= 0.5
         ), fold
     assert not Bench(vehicle, config).show(machine=None).is_implement_folded
+
+
+@clause("BD-5.2.4")
+def test_the_brake_holds_the_slope_until_the_park_brake_is_set(bench: Bench) -> None:
+    grade_mps2 = 1.36  # 8°
+    for mode in (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP):
+        bench.driving(0.0)
+        held = bench.show(mode=mode, measured_mps=0.0, grade_mps2=grade_mps2, after_s=1.0)
+        assert held.deceleration_mps2 >= 1.5 * grade_mps2, mode
+    assert bench.show(grade_mps2=20.0).deceleration_mps2 == bench.command_builder._config.braking.full_mps2

@@ -141,3 +141,31 @@ def test_resume_after_a_person_was_seen_leaving(world: World) -> None:
     assert world.mode == Mode.OBSTACLE_STOP
     world.run(4.5)
     assert world.mode == Mode.AUTOMATIC
+
+
+@clause("BD-5.2.4")
+def test_a_post_beside_is_not_who_left(departure: Clocked, area: SweptArea) -> None:
+    somebody, post = (5.0, 2.9), (5.0, 3.9)
+    departure.see(hits(somebody, post), area, scans=8)
+    departure.see(hits(post), area, scans=20)
+    assert departure.is_unresolved
+    departure.forget()
+    departure.see(hits(somebody, post), area, scans=8)
+    for k in range(12):
+        departure.see(hits((5.0, 2.9 + 0.12 * k), post), area)
+    assert not departure.is_unresolved
+
+
+@clause("BD-5.2.4")
+def test_who_was_lost_stays_there_while_another_path_leads_elsewhere(
+    departure: Clocked, area: SweptArea, config: SupervisorConfig, vehicle: Vehicle, implement: MountedImplement
+) -> None:
+    back = sweep_field(None, None, 0.0, -1, 8.0, 4.0, footprint_of(vehicle, implement), config.field).main
+    departure.see(hits((6.0, 0.0)), area, scans=8)
+    departure.see(hits(), back)
+    assert (departure.is_unresolved, departure.is_kept) == (False, True)
+    departure.see(hits(), area)
+    assert departure.is_unresolved
+    for away_m, is_kept in ((-0.1, True), (0.1, False)):
+        departure.see(hits(), back, np.array([6.0 - config.departure.kept_m - away_m, 0.0, 0.0]))
+        assert departure.is_kept == is_kept, away_m

@@ -62,6 +62,8 @@ class Bench:
 
     def given(self, kind: OperatorCommandKind) -> list[OperatorCommand]:
         """A command; a confirmation that nobody is near goes before a start, unless the bench is without."""
+        if kind is OperatorCommandKind.CONFIRM_CLEAR:
+            return [self.order(kind, 60.0)]
         start = kind is OperatorCommandKind.START and self.confirms
         return [*([self.order(OperatorCommandKind.CONFIRM_CLEAR, 60.0)] if start else []), self.order(kind)]
 
@@ -395,3 +397,70 @@ def test_reset_in_standby_takes_ended_faults(bench: Bench, is_still: bool) -> No
     speed = STANDING if is_still else {}
     assert bench.show(OperatorCommandKind.RESET, **speed) is Mode.STANDBY
     assert bench.fault_memory.active == ((other,) if is_still else (fault, other))
+
+
+@clause("BD-5.2.4")
+@pytest.mark.parametrize("without", [
+    {"blind": ("lidar/front",)}, {"frozen": ("lidar/front",)}, {"timed_out_topics": ("lidar/front",)},
+])  # fmt: skip
+@pytest.mark.parametrize(("blind_s", "needs"), [(2.9, False), (3.1, True)])
+def test_a_start_after_a_time_without_sight_needs_a_confirmation(
+    bench: Bench, without: dict[str, Any], blind_s: float, needs: bool
+) -> None:
+    bench.driving()
+    bench.show(OperatorCommandKind.PAUSE, **STANDING)
+    bench.show(**STANDING, **without)
+    bench.show(**STANDING, after_s=blind_s, **without)
+    bench.show(OperatorCommandKind.RESET, **STANDING)
+    bench.confirms = False
+    assert (bench.show(OperatorCommandKind.START, **STANDING) is Mode.STANDBY) == needs
+    if needs:
+        assert bench.reason == "operator_command.unconfirmed"
+        assert bench.show(OperatorCommandKind.CONFIRM_CLEAR, **STANDING) is Mode.START_WARNING
+
+
+@clause("BD-5.2.4")
+@pytest.mark.parametrize("lost", [{"blind": ("lidar/front",)}, {"has_pose_jumped": True}])
+def test_no_resume_by_itself_after_a_time_without_sight_or_a_jump(bench: Bench, lost: dict[str, Any]) -> None:
+    bench.driving()
+    assert bench.show(**near(1.0)) is Mode.OBSTACLE_STOP
+    bench.show(**STANDING, **near(1.0), **lost)
+    bench.show(**STANDING, **near(1.0), after_s=3.1, **lost)
+    bench.show(**STANDING)
+    assert (bench.show(**STANDING, after_s=60.0), bench.reason) == (
+        Mode.OBSTACLE_STOP, "operator_command.unconfirmed"
+    )  # fmt: skip
+    assert bench.show(OperatorCommandKind.CONFIRM_CLEAR, **STANDING) is Mode.START_WARNING
+
+
+@clause("BD-5.2.4")
+def test_a_start_while_the_mission_still_waits_uses_no_confirmation_up(bench: Bench) -> None:
+    bench.driving()
+    waiting: dict[str, Any] = {**STANDING, "state": MissionState.WAITING}
+    assert bench.show(**waiting) is Mode.STANDBY
+    bench.show(OperatorCommandKind.START, **waiting)
+    bench.show(**waiting)
+    assert bench.show(after_s=3.0, **waiting) is Mode.AUTOMATIC
+    assert bench.show(**waiting) is Mode.STANDBY
+    bench.confirms = False
+    bench.show(OperatorCommandKind.START, after_s=10.0, **waiting)
+    assert (bench.mode_machine.mode, bench.reason) == (Mode.STANDBY, "operator_command.unconfirmed")
+
+
+@clause("BD-5.2.4")
+@pytest.mark.parametrize(("after_s", "mode"), [(29.9, Mode.START_WARNING), (30.1, Mode.STANDBY)])
+def test_a_start_does_not_wait_for_long(bench: Bench, after_s: float, mode: Mode) -> None:
+    bench.confirms = False
+    bench.show(OperatorCommandKind.START, **STANDING)
+    assert bench.show(OperatorCommandKind.CONFIRM_CLEAR, after_s=after_s, **STANDING) is mode
+
+
+@clause("BD-5.2.4")
+def test_who_is_lost_or_near_keeps_a_machine_at_rest_there_without_a_command(bench: Bench) -> None:
+    """As while its implement folds."""
+    bench.driving()
+    control_command = bench.situation.inputs.control_command
+    assert control_command is not None
+    still: dict[str, Any] = {**STANDING, "control_command": replace(control_command, speed_mps=0.0)}
+    assert bench.show(**still) is Mode.AUTOMATIC
+    assert bench.show(**still, is_departure_unresolved=True) is Mode.OBSTACLE_STOP

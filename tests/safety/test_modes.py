@@ -36,8 +36,13 @@ def test_transition_table() -> None:
         m.OBSTACLE_STOP: engaged | {e.CLEAR: m.START_WARNING},
         m.FAULT_STOP: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.RESET: m.STANDBY},
         m.EMERGENCY_STOP: {e.RESET: m.STANDBY},
-        m.FINISHED: {e.EMERGENCY: m.EMERGENCY_STOP, e.HAND: m.MANUAL, e.MANUAL: m.MANUAL, e.START: m.START_WARNING,
-                     e.RESET: m.STANDBY},
+        m.FINISHED: {
+            e.EMERGENCY: m.EMERGENCY_STOP,
+            e.HAND: m.MANUAL,
+            e.MANUAL: m.MANUAL,
+            e.START: m.START_WARNING,
+            e.RESET: m.STANDBY,
+        },
     }
     for mode in Mode:
         for event in Event:

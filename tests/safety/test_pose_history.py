@@ -54,3 +54,14 @@ def test_non_finite_odometry_and_pose() -> None:
     assert valid_map_pose(pose) is pose
     assert valid_map_pose(replace(pose, T_map_odom=np.full((4, 4), np.nan))) is None
     assert valid_map_pose(None) is None
+
+
+@pytest.mark.parametrize(("way_m", "has_jumped"), [(0.05, False), (0.31, False), (0.33, True)])
+def test_jump(way_m: float, has_jumped: bool) -> None:
+    """At 1 m/s, 20 ms after the last pose."""
+    pose_history = PoseHistory()
+    pose_history.add(odometry(0, 0.0, 0.0))
+    pose_history.add(odometry(20, 0.0, way_m))
+    assert pose_history.has_jumped == has_jumped
+    pose_history.add(odometry(40, 0.0, way_m))
+    assert not pose_history.has_jumped

@@ -97,7 +97,7 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             is_departure_unresolved=lambda command: command is not None, confirm_clear=Spy(None),
             bystanders=SimpleNamespace(bars_pto=Spy(True)),
             swept_field=SimpleNamespace(is_planned=True),
-            pose_history=SimpleNamespace(driven_m=12.0),
+            pose_history=SimpleNamespace(driven_m=12.0, has_jumped=False),
             sources=SimpleNamespace(
                 lidars=lidars, lidar_failures=Spy(("wrong",)), detection_range_m=Spy(proven), vegetation_m=0.3
             ),
@@ -209,7 +209,7 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         clearance=GAP, critical_object=THREAT, standing_body=NO_STANDING_BODY,
         detection_range_m=30.0, blind=("lidar/side",),
         geofence_distance_m=8.0,
-        is_foldable=True, clock_step_s=0.0, brake_test="phase", sensor_failures=("lost",),
+        is_foldable=True, clock_step_s=0.0, has_pose_jumped=False, brake_test="phase", sensor_failures=("lost",),
         is_departure_unresolved=True, lidar_failures=("wrong",), vegetation_m=0.3,
         consent=CONSENT, is_docking=True, is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip

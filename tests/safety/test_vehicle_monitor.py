@@ -225,6 +225,11 @@ def test_brake_ineffective(bench: Bench, sign: int) -> None:
     for felt in around(0.6, 0.01):
         assert weak(2.0, felt) == (felt < 0.6), felt
     assert weak(2.0, -1.0)  # it gains speed
+    grade = odometry(sign * 2.0, sign * 0.0, sign * 0.2)  # downhill, of which the brake holds 1.95 m/s²
+    for odom, is_weak in ((grade, False), (odometry(sign * 2.0, 0.0, -sign * 0.2), True)):
+        bench.show(odom=None)
+        bench.show(odom=odom, command=braking)
+        assert (bench.show(0.5).brake_ineffective_s > 0.0) == is_weak
     for asked in around(1.0, 0.01):
         assert weak(2.0, 0.0, replace(braking, deceleration_mps2=asked)) == (asked >= 1.0), asked
     for speed in around(0.5, 0.01):
