@@ -132,7 +132,8 @@ class ModeMachine:
             is_passable = not decision.is_obstacle_inside and decision.passable_mps >= self._config.creep_mps
             is_unconfirmed = is_passable and situation.is_departure_unresolved
             self._cause = UNCONFIRMED if is_unconfirmed else decision.blocking.code
-        if self.mode is Mode.MANUAL or (self.mode is Mode.STANDBY and self._was_waiting):
+        is_waiting = self.mode is Mode.STANDBY and self._was_waiting
+        if self.mode in (Mode.MANUAL, Mode.EMERGENCY_STOP) or is_waiting:
             self._require_confirmation()
         if self.mode is Mode.START_WARNING:
             self._needs_confirmation = False
@@ -145,8 +146,8 @@ class ModeMachine:
         return self._orders.is_just_confirmed
 
     def _require_confirmation(self) -> None:
-        """Somebody may be near, unseen: after power-on, a step of the clock or the pose, manual driving, a time without
-        sight, and while a mission waits."""
+        """Somebody may be near, unseen: after power-on, a step of the clock or the pose, manual driving, an emergency
+        stop, which who pressed the button is near, a time without sight, and while a mission waits."""
         self._needs_confirmation = True
         self._orders.forget_confirmation()
 

@@ -153,7 +153,9 @@ class Supervisor(Node):
             is_foldable=self._footprints.is_foldable,
             clock_step_s=clock_step_s,
             has_pose_jumped=monitor.pose_history.has_jumped,
-            brake_test=self._brake_test.update(self.mode, vehicle.speed_mps, monitor.pose_history.driven_m),
+            brake_test=self._brake_test.update(
+                self.mode, vehicle.speed_mps, monitor.pose_history.driven_m, vehicle.braking
+            ),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
             is_departure_unresolved=monitor.is_departure_unresolved(inputs.control_command),
             lidar_failures=monitor.sources.lidar_failures(direction),
@@ -173,7 +175,7 @@ class Supervisor(Node):
         return CommandInputs(
             situation.now_ns, self.mode, reason, situation.inputs.control_command, machine, vehicle.speed_mps,
             None if machine is None else machine.curvature_radpm,
-            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.direction, vehicle.grade_mps2, vehicle.has_driver,
+            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.direction, vehicle.downhill_mps2, vehicle.has_driver,
             self.collision_monitor.bystanders.bars_pto(situation.now_ns),
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ from enum import IntEnum
 from configs.vehicle import kmh
 from messages.command import Mode
 from safety.config import SafetyConfig
-from safety.stopping_distance import stopping_distance
+from safety.stopping_distance import Braking, stopping_distance
 
 
 class Phase(IntEnum):
@@ -34,8 +34,8 @@ class BrakeTest:
         self._highest_mps = 0.0
         self._started_at_m = 0.0
 
-    def update(self, mode: Mode, speed_mps: float | None, driven_m: float) -> Phase:
-        """Phase now; `driven_m` is the total distance driven."""
+    def update(self, mode: Mode, speed_mps: float | None, driven_m: float, braking: Braking) -> Phase:
+        """Phase now; `driven_m` is the total distance driven, `braking` that on this grade."""
         if self.phase is Phase.PASSED or speed_mps is None:
             return self.phase
         if mode is not Mode.AUTOMATIC:
@@ -43,11 +43,11 @@ class BrakeTest:
         elif self.phase is Phase.CREEP and abs(speed_mps) >= self._brake_mps:
             self.phase, self._started_at_m, self._highest_mps = Phase.BRAKE, driven_m, abs(speed_mps)
         elif self.phase is Phase.BRAKE:
-            self.phase = self._result(abs(speed_mps), driven_m - self._started_at_m)
+            self.phase = self._result(abs(speed_mps), driven_m - self._started_at_m, braking)
         return self.phase
 
-    def _result(self, speed_mps: float, distance_m: float) -> Phase:
+    def _result(self, speed_mps: float, distance_m: float, braking: Braking) -> Phase:
         self._highest_mps = max(self._highest_mps, min(speed_mps, self._test_mps))
-        if distance_m > stopping_distance(self._highest_mps, self._config.braking.flat):
+        if distance_m > stopping_distance(self._highest_mps, braking):
             return Phase.FAILED
         return Phase.PASSED if speed_mps <= self._config.modes.standstill_mps else Phase.BRAKE

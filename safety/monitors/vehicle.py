@@ -21,7 +21,7 @@ DIRECTION_MPS = 0.1
 class VehicleState:
     """Signed speed (None: unknown), highest speed of any source, direction, braking on this grade, condition durations.
 
-    `grade_mps2`: share of gravity along the slope, whatever the direction.
+    `downhill_mps2`: share of gravity along the direction.
 
     Durations in seconds, 0 while the condition does not hold. `lasting_level_m`: lowest protection level in the
     last `protection_alert_s`. `has_driver`: the seat is occupied, with an off-delay.
@@ -31,7 +31,7 @@ class VehicleState:
     fastest_mps: float
     direction: int
     braking: Braking
-    grade_mps2: float
+    downhill_mps2: float
     position_sigma_m: float
     lasting_level_m: float
     driver_override_s: float
@@ -84,7 +84,7 @@ class VehicleMonitor:
             self._fastest_mps,
             self._direction,
             on_grade(flat, self._direction * self._pitch_rad, min_mps2),
-            GRAVITY_MPS2 * abs(math.sin(self._pitch_rad)),
+            GRAVITY_MPS2 * math.sin(self._direction * self._pitch_rad),
             position_sigma_m(map_pose),
             self._lasting_level_m(now_ns, map_pose),
             self._override.update(now_ns, is_forced(machine, self._config.limits.driver_torque_nm)),

@@ -25,7 +25,7 @@ BEACON = frozenset({Mode.START_WARNING, Mode.AUTOMATIC, Mode.OBSTACLE_STOP})
 class CommandInputs:
     """Inputs of one safe command.
 
-    `direction` is that in which the machine looks and moves, `grade_mps2` the share of gravity along the slope;
+    `direction` is that in which the machine looks and moves, `downhill_mps2` the share of gravity along it;
     `is_pto_barred`: a body moves near the machine.
     """
 
@@ -40,7 +40,7 @@ class CommandInputs:
     clearance_m: float
     braking: Braking
     direction: int
-    grade_mps2: float
+    downhill_mps2: float
     has_driver: bool
     is_pto_barred: bool
 
@@ -120,8 +120,10 @@ class CommandBuilder:
         if inputs.mode is not Mode.AUTOMATIC:
             asked = stopping_deceleration(abs(measured), inputs.clearance_m, braking)
             if inputs.mode is Mode.FAULT_STOP:  # debounced already: at once, with the deceleration that S assumes
-                return SpeedDemand(0.0, self._standstill_brake(inputs, max(asked, braking.deceleration_mps2)))
-            asked = self._standstill_brake(inputs, asked)
+                return SpeedDemand(
+                    0.0, self._standstill_brake(inputs, self._on_grade(inputs, max(asked, braking.deceleration_mps2)))
+                )
+            asked = self._standstill_brake(inputs, self._on_grade(inputs, asked))
             return SpeedDemand(
                 0.0, limit_jerk(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s)
             )
@@ -133,8 +135,13 @@ class CommandBuilder:
         asked = braking_demand(
             inputs.control_command, limit, abs(measured), inputs.clearance_m, inputs.braking, braking
         )
+        asked = self._on_grade(inputs, asked) if asked > 0.0 else 0.0
         asked = self._standstill_brake(inputs, asked) if target == 0.0 else asked
         return SpeedDemand(out, limit_jerk(asked, brake_before, braking.controlled_mps2, self._config.jerk_mps3 * dt_s))
+
+    def _on_grade(self, inputs: CommandInputs, asked_mps2: float) -> float:
+        """Brake that slows by so much on this slope: downhill it holds gravity as well."""
+        return min(self._config.braking.full_mps2, asked_mps2 + max(0.0, inputs.downhill_mps2))
 
     def _standstill_brake(self, inputs: CommandInputs, moving_mps2: float) -> float:
         is_standing = self._standing_since_ns is not None
@@ -143,7 +150,7 @@ class CommandBuilder:
     def _holding_mps2(self, inputs: CommandInputs) -> float:
         """Brake that holds the machine at rest, on a slope with a reserve, until the park brake is set."""
         braking = self._config.braking
-        return min(braking.full_mps2, max(braking.hold_mps2, braking.hold_factor * inputs.grade_mps2))
+        return min(braking.full_mps2, max(braking.hold_mps2, braking.hold_factor * abs(inputs.downhill_mps2)))
 
     def _disabled_brake(self, inputs: CommandInputs) -> float:
         """Brake while disabled: full in an emergency; for a driver only until the first standstill.

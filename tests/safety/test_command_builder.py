@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import pytest
@@ -276,8 +277,16 @@ def test_half_folded_counts_as_folded(vehicle: Vehicle, config: SafetyConfig) ->
 @clause("BD-5.2.4")
 def test_the_brake_holds_the_slope_until_the_park_brake_is_set(bench: Bench) -> None:
     grade_mps2 = 1.36  # 8°
-    for mode in (Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP):
+    for mode, side in product((Mode.OBSTACLE_STOP, Mode.FAULT_STOP, Mode.EMERGENCY_STOP), (1.0, -1.0)):
         bench.driving(0.0)
-        held = bench.show(mode=mode, measured_mps=0.0, grade_mps2=grade_mps2, after_s=1.0)
+        held = bench.show(mode=mode, measured_mps=0.0, downhill_mps2=side * grade_mps2, after_s=1.0)
         assert held.deceleration_mps2 >= 1.5 * grade_mps2, mode
-    assert bench.show(grade_mps2=20.0).deceleration_mps2 == bench.command_builder._config.braking.full_mps2
+    assert bench.show(downhill_mps2=20.0).deceleration_mps2 == bench.command_builder._config.braking.full_mps2
+
+
+@clause("BD-5.2.4")
+def test_downhill_the_brake_holds_gravity_as_well(bench: Bench, config: SafetyConfig) -> None:
+    for downhill_mps2, more_mps2 in ((0.0, 0.0), (1.36, 1.36), (-1.36, 0.0)):
+        bench.driving(2.0)
+        asked = bench.show(mode=Mode.FAULT_STOP, measured_mps=2.0, downhill_mps2=downhill_mps2)
+        assert asked.deceleration_mps2 == config.braking.deceleration_mps2 + more_mps2

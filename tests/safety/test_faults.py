@@ -69,39 +69,41 @@ def test_failed_brake_test_and_retry(world: World) -> None:
 def test_brake_test_of_a_machine_that_gains_speed_until_the_brake_acts(config: SupervisorConfig) -> None:
     """The limit is that of the highest speed after the order, and at most that of the test speed."""
     order_mps, test_mps = config.brake_test.brake_kmh / 3.6, config.brake_test.speed_kmh / 3.6
+    flat = config.braking.flat
     for highest in (order_mps, 0.5 * (order_mps + test_mps), test_mps, 2.0 * test_mps):
-        limit_m = stopping_distance(min(highest, test_mps), config.braking.flat)
+        limit_m = stopping_distance(min(highest, test_mps), flat)
         for at_m in around(limit_m, 1e-3, 2):
             test = BrakeTest(config)
-            test.update(Mode.AUTOMATIC, order_mps, 0.0)
-            test.update(Mode.AUTOMATIC, highest, 0.0)
-            found = test.update(Mode.AUTOMATIC, 0.0, at_m)
+            test.update(Mode.AUTOMATIC, order_mps, 0.0, flat)
+            test.update(Mode.AUTOMATIC, highest, 0.0, flat)
+            found = test.update(Mode.AUTOMATIC, 0.0, at_m, flat)
             assert found is (Phase.PASSED if at_m <= limit_m + 1e-12 else Phase.FAILED), (highest, at_m)
 
 
 def test_brake_test_limit(config: SupervisorConfig) -> None:
-    way_m = stopping_distance(0.45, config.braking.flat)
+    flat = config.braking.flat
+    way_m = stopping_distance(0.45, flat)
     for left in around(way_m, 1e-3):
         test = BrakeTest(config)
-        assert test.update(Mode.STANDBY, 0.45, 0.0) is Phase.CREEP
-        assert test.update(Mode.AUTOMATIC, None, 0.0) is Phase.CREEP
-        assert test.update(Mode.AUTOMATIC, 0.45, 0.0) is Phase.BRAKE
-        assert test.update(Mode.AUTOMATIC, 0.2, 0.1) is Phase.BRAKE
-        assert test.update(Mode.AUTOMATIC, 0.0, left) is (Phase.PASSED if left <= way_m + 1e-9 else Phase.FAILED)
+        assert test.update(Mode.STANDBY, 0.45, 0.0, flat) is Phase.CREEP
+        assert test.update(Mode.AUTOMATIC, None, 0.0, flat) is Phase.CREEP
+        assert test.update(Mode.AUTOMATIC, 0.45, 0.0, flat) is Phase.BRAKE
+        assert test.update(Mode.AUTOMATIC, 0.2, 0.1, flat) is Phase.BRAKE
+        assert test.update(Mode.AUTOMATIC, 0.0, left, flat) is (Phase.PASSED if left <= way_m + 1e-9 else Phase.FAILED)
     late = BrakeTest(config)
-    late.update(Mode.AUTOMATIC, 0.45, 7.0)  # not in the first metres of a day
-    assert late.update(Mode.AUTOMATIC, 0.0, 7.0 + way_m - 1e-6) is Phase.PASSED
+    late.update(Mode.AUTOMATIC, 0.45, 7.0, flat)  # not in the first metres of a day
+    assert late.update(Mode.AUTOMATIC, 0.0, 7.0 + way_m - 1e-6, flat) is Phase.PASSED
     for speed in around(config.brake_test.brake_kmh / 3.6, 1e-3):
         is_fast = speed >= config.brake_test.brake_kmh / 3.6 - 1e-12
-        assert (BrakeTest(config).update(Mode.AUTOMATIC, -speed, 0.0) is Phase.BRAKE) == is_fast
+        assert (BrakeTest(config).update(Mode.AUTOMATIC, -speed, 0.0, flat) is Phase.BRAKE) == is_fast
     for speed in around(config.modes.standstill_mps, 0.01):
         test = BrakeTest(config)
-        test.update(Mode.AUTOMATIC, 0.45, 0.0)
+        test.update(Mode.AUTOMATIC, 0.45, 0.0, flat)
         is_still = speed <= config.modes.standstill_mps
-        assert test.update(Mode.AUTOMATIC, speed, 0.1) is (Phase.PASSED if is_still else Phase.BRAKE), speed
+        assert test.update(Mode.AUTOMATIC, speed, 0.1, flat) is (Phase.PASSED if is_still else Phase.BRAKE), speed
     broken = BrakeTest(config)
-    broken.update(Mode.AUTOMATIC, 0.45, 0.0)
-    assert broken.update(Mode.OBSTACLE_STOP, 0.3, 0.1) is Phase.CREEP
+    broken.update(Mode.AUTOMATIC, 0.45, 0.0, flat)
+    assert broken.update(Mode.OBSTACLE_STOP, 0.3, 0.1, flat) is Phase.CREEP
 
 
 def test_results_of_the_brake_test() -> None:

@@ -218,7 +218,7 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
     assert parts.inputs.sensor_failures.asked == (START_NS, inbox, SEEN, parts.monitor, -1)
     assert parts.monitor.sources.lidar_failures.asked == (-1,)
     assert parts.monitor.sources.detection_range_m.asked == (START_NS, -1, SEEN.health)
-    assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0)
+    assert parts.brake_test.update.asked == (Mode.AUTOMATIC, -1.5, 12.0, config.braking.flat)
 
 
 def test_a_confirmation_reaches_the_monitor(among: Any, parts: Any, inbox: Any) -> None:
