@@ -86,10 +86,12 @@ class ObstacleSources:
 
     def forget_held(self) -> None:
         """Drops the hits that are held in blind zones, and those of sensors without new data."""
-        for source in self.lidars:
-            source.forget_held()
-        for sensor in (*self.radars, *self.ultrasonics):
-            sensor.forget()
+        for lidar in self.lidars:
+            lidar.forget_held()
+        for radar in self.radars:
+            radar.forget()
+        for ultrasonic in self.ultrasonics:
+            ultrasonic.forget()
 
     def update(self, data: SourceData, pose_history: PoseHistory, odom: Odometry) -> bool:
         """Processes new radar and ultrasonic data; returns whether any of it has, or had before, a confirmed echo."""

@@ -175,8 +175,8 @@ class Supervisor(Node):
         return CommandInputs(
             situation.now_ns, self.mode, reason, situation.inputs.control_command, machine, vehicle.speed_mps,
             None if machine is None else machine.curvature_radpm,
-            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.direction, vehicle.downhill_mps2, vehicle.has_driver,
-            self.collision_monitor.bystanders.bars_pto(situation.now_ns),
+            decision.allowed_mps, clearance_m, vehicle.braking, vehicle.direction, vehicle.downhill_mps2,
+            vehicle.has_driver, self.collision_monitor.bystanders.bars_pto(situation.now_ns),
         )  # fmt: skip
 
     def _report(self, now_ns: int, decision: Decision) -> list[Fault]:

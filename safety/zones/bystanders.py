@@ -118,7 +118,7 @@ class Bystanders:
         return self._close_ns is not None and now_ns - self._close_ns <= self._config.pto_hold_s * 1e9
 
     def forget_unseen(self) -> None:
-        """An operator has confirmed that nobody is near the machine: only a person or animal that is seen there remains.
+        """An operator has confirmed that nobody is near the machine: only a person or animal that is seen remains.
 
         What stands right at the machine now is nobody, while it stays there.
         """

@@ -453,7 +453,8 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
         vehicle=vehicle, max_speed_mps=8.0, allowance_m=2.1, timed_out_topics=(), frozen=(), faults=(),
         clearance=Clearance(math.inf, math.inf, np.empty((0, 3))), critical_object=NO_CRITICAL_OBJECT,
         standing_body=NO_STANDING_BODY, detection_range_m=40.0, blind=(),
-        geofence_distance_m=math.inf, is_foldable=False, clock_step_s=0.0, has_pose_jumped=False, brake_test=Phase.PASSED, sensor_failures=(),
+        geofence_distance_m=math.inf, is_foldable=False, clock_step_s=0.0, has_pose_jumped=False,
+        brake_test=Phase.PASSED, sensor_failures=(),
         is_departure_unresolved=False, lidar_failures=(), vegetation_m=0.0, consent=None,
         is_docking=False, is_under_roof=False, wall_distance_m=math.inf,
     )  # fmt: skip
