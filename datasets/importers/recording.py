@@ -21,6 +21,8 @@ HEAD_BYTES = 4096
 # Reasons of skipped messages listed for one stream.
 MAX_REASONS = 5
 OTHER_REASONS = "other reasons"
+# Times that a log holds: from 1970 to 2262.
+END_NS = 1 << 63
 
 
 class Skipped(NamedTuple):
@@ -119,7 +121,10 @@ class Description:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording on disk; each call of `messages` starts a new pass over it, which never ends at a bad message."""
+    """A recording on disk; each call of `messages` starts a new pass over it, which never ends at a bad message.
+
+    `read` also skips messages with a time that no log holds.
+    """
 
     path: Path
     description: Description
@@ -130,7 +135,11 @@ class Recording:
         """Messages of a new pass, bad ones skipped and counted; raises LogError at its end if none was readable."""
         counts: Counter[str | Skipped] = Counter()
         is_empty = True
+        sensors = {sensor.topic: sensor for sensor in self.description.sensors}
         for item in self.messages():
+            if not isinstance(item, Skipped) and (reason := _bad_time(item)):
+                sensor = sensors.get(item[1], Sensor(item[1], "", item[1], ""))
+                item = Skipped(0, sensor.source, sensor.source_type, reason)
             if isinstance(item, Skipped):
                 counts[item._replace(receive_ns=0)] += 1
                 continue
@@ -147,6 +156,12 @@ class Recording:
         read = {item: count for item, count in self._pass.items() if not isinstance(item, Skipped)}
         skipped = [Ignored(*item[1:], count) for item, count in self._pass.items() if isinstance(item, Skipped)]
         return table_of(self.description, read, skipped)
+
+
+def _bad_time(item: Received) -> str:
+    """Why a log cannot hold the times of a message, empty if it can."""
+    times_ns = item[0], item[2].stamp_ns
+    return "a time before 1970" if min(times_ns) < 0 else "a time after 2262" if max(times_ns) >= END_NS else ""
 
 
 def table_of(about: Description, read: Mapping[str, int], skipped: Iterable[Ignored] = ()) -> tuple[TopicCount, ...]:

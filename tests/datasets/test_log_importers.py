@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from configs.strict import CONFIGS, parse, read_yaml
 from datasets.importers.formats import open_recording
-from datasets.importers.recording import numbered
+from datasets.importers.recording import Description, Received, Recording, Sensor, numbered
 from datasets.importers.ros_types import ros_types
 from datasets.importers.write_recording import write_recording
 from datasets.log import LogConfig, LogWriter
@@ -396,3 +396,13 @@ def test_failed_import_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="can: cannot be read"):
         write_recording(source, tmp_path / "out.mcap", LOG, VIEW)
     assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize(("stamp_ns", "reason"), [(-5, "a time before 1970"), (1 << 63, "a time after 2262")])
+def test_time_that_no_log_holds_is_skipped_and_counted(tmp_path: Path, stamp_ns: int, reason: str) -> None:
+    messages: list[Received] = [(5, "wheel/a", WheelSample(ns, 1.0, 0.0)) for ns in (stamp_ns, 5)]
+    about = Description("x", (Sensor("wheel/a", "", "/a", "Twist"),))
+    source = Recording(tmp_path, about, lambda: iter(messages))
+    assert write_recording(source, tmp_path / "out.mcap", LOG, VIEW) == {"wheel/a": 1}
+    (row,) = source.table()
+    assert (row.source, row.read, row.skipped, dict(row.reasons)) == ("/a", 1, 1, {reason: 1})

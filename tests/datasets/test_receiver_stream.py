@@ -127,6 +127,23 @@ def test_without_date(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("times", "days"),
+    [
+        (("000416.00", "235900.00", "000000.00"), (0, 0, 1)),  # a clock that was set: not before 1970
+        (("000010.00", "235959.00"), (0, 0)),
+        (("001640.00", "131640.00", "131641.00"), (0, 0, 0)),  # a gap of 13 h
+        (("131640.00", "001640.00"), (0, 1)),
+        (("101112.30", "101110.30"), (0, 0)),
+    ],
+)
+def test_time_of_day_goes_forwards(tmp_path: Path, times: tuple[str, ...], days: tuple[int, ...]) -> None:
+    lines = [GGA.replace("101112.30", time) for time in times]
+    for dated, day_ns in ((lines, 0), ([RMC.replace("101112.30", times[0]), *lines], START_NS // (86_400 * S))):
+        stamps = [fix.stamp_ns // (86_400 * S) for fix in fixes_of(opened(tmp_path, b"".join(map(line, dated))))]
+        assert stamps == [day_ns + day for day in days]
+
+
+@pytest.mark.parametrize(
     ("prefix", "delay_ns"),
     [
         (b"2026-11-21T10:11:12.35Z ", 50 * MS),

@@ -5,6 +5,8 @@ from datetime import date
 S = 1_000_000_000
 DAY_NS = 86_400 * S
 WEEK_NS = 7 * DAY_NS
+# A time may be before the last one by this much: lines of two receivers, or a clock that was set.
+BACK_NS = 60 * S
 # Days on which a leap second had been inserted since the start of GPS time (IERS Bulletin C; none since 2017)
 LEAP_DAYS = (
     (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7), (1994, 7),
@@ -35,13 +37,14 @@ def gps_of_utc(unix_ns: int) -> int:
 class Calendar:
     """Times of a stream that states the time within a period (day, week) always and the period itself only sometimes.
 
-    A time is the one nearest to that before, so rollovers need no other rule. Without a date the times count from
-    `start_ns`; that of another calendar with the same stream read before is the right one from the first time on.
+    A stream goes forwards: a time is the first one after the last time less a minute, so rollovers need no other rule.
+    Without a date the times count from `start_ns` >= 0; that of another calendar with the same stream read before is
+    the right one from the first time on.
     """
 
     def __init__(self, period_ns: int, start_ns: int = 0) -> None:
         self.start_ns: int | None = None
-        self._period_ns, self._now_ns = period_ns, start_ns + period_ns // 2
+        self._period_ns, self._now_ns, self._from_ns = period_ns, start_ns + period_ns // 2, start_ns
 
     @property
     def now_ns(self) -> int:
@@ -52,14 +55,15 @@ class Calendar:
         """Sets a time with its date; the first one determines `start_ns`."""
         if self.start_ns is None:
             self.start_ns = exact_ns - self.at(exact_ns % self._period_ns)
-        self._now_ns = exact_ns
+        self._now_ns, self._from_ns = exact_ns, exact_ns - BACK_NS
 
     def near(self, about_ns: int) -> None:
         """Sets an approximate time, such as that of a recorder: the next one is within half a period of it."""
-        self._now_ns = about_ns
+        self._now_ns, self._from_ns = about_ns, about_ns - self._period_ns // 2
 
     def at(self, phase_ns: int) -> int:
         """The time with this phase of the period."""
-        half_ns = self._period_ns // 2
-        self._now_ns += (phase_ns - self._now_ns + half_ns) % self._period_ns - half_ns
+        from_ns = max(0, self._from_ns)
+        self._now_ns = from_ns + (phase_ns - from_ns) % self._period_ns
+        self._from_ns = self._now_ns - BACK_NS
         return self._now_ns
