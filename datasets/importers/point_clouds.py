@@ -114,7 +114,7 @@ def _offsets(points: npt.NDArray[Any], stamp_ns: int) -> Float64:
     first = int(raw.min()) if is_whole else float(raw.min())
     since_first: Float64 = (raw - raw.min()).astype(np.float64)
     span = float(since_first.max())
-    unit_s = next((u for u in UNITS_S if SWEEP_S[0] <= span * u <= SWEEP_S[1]), 1e-9 if is_whole else 1.0)
+    unit_s = time_unit_s(span, is_whole)
     if not 0.0 < span * unit_s <= SWEEP_S[1]:  # also without a number
         return np.zeros(0)
     since_first *= unit_s
@@ -122,6 +122,11 @@ def _offsets(points: npt.NDArray[Any], stamp_ns: int) -> Float64:
         return since_first + first * unit_s
     begin_s = (first * round(unit_s * 1e9) - stamp_ns) * 1e-9
     return since_first + begin_s if abs(begin_s) <= SWEEP_S[1] else since_first - since_first.max()
+
+
+def time_unit_s(span: float, is_whole: bool) -> float:
+    """Unit (s) of the times of points that span `span` of it: that of a sweep, else ns for whole numbers or s."""
+    return next((u for u in UNITS_S if SWEEP_S[0] <= span * u <= SWEEP_S[1]), 1e-9 if is_whole else 1.0)
 
 
 def _is_end(stamp_ns: int, receive_ns: int, last_s: float) -> bool:

@@ -71,7 +71,7 @@ class PointFormat:
         files = dict(sorted(zip(_frames(paths), paths, strict=True)))
         sensor = Sensor(f"lidar/{self.name}", self.name, str(path), self.name)
         contents = FolderContents(path, self.name)
-        origin_m = self._origin(list(files.values()))
+        origin_m = self._origin(path, list(files.values()))
         if origin_m.any():
             contents.notes.append(f"coordinates are those of the files minus {origin_m.tolist()} m")
         begins = {frame: self.begin_ns(file) for frame, file in files.items()}
@@ -106,12 +106,14 @@ class PointFormat:
         except DAMAGED as error:
             raise LogError(f"{path}: no {self.name} scan ({error})") from error
 
-    def _origin(self, files: list[Path]) -> Float64:
+    def _origin(self, path: Path, files: list[Path]) -> Float64:
         """Whole metres (3,) near the first points that can be read; zeros where they are near zero."""
-        for path in files[:PROBED]:
+        for file in files[:PROBED]:
             try:
-                points = self._points(path, np.zeros(3))
-            except LogError:  # it is counted when the recording is read
+                points = self._points(file, np.zeros(3))
+            except LogError:  # one of a folder is counted when the recording is read
+                if file == path:
+                    raise
                 continue
             xyz_m = np.stack([points[name].astype(np.float64) for name in "xyz"], axis=1)
             xyz_m = xyz_m[np.isfinite(xyz_m).all(axis=1)]

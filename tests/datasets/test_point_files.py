@@ -11,6 +11,7 @@ import pytest
 
 from datasets.importers.formats import open_recording
 from datasets.importers.pcd import unpack_lzf
+from datasets.importers.point_text import MIN_ROWS
 from messages.errors import LogError
 from messages.sensors import LidarScan
 from tests.datasets.folder_samples import NS
@@ -223,6 +224,45 @@ def test_other_tables_are_no_points(tmp_path: Path, content: str) -> None:
     (tmp_path / "a.csv").write_text(content)
     with pytest.raises(LogError, match="no known recording format"):
         open_recording(tmp_path / "a.csv")
+
+
+SAMPLES = [f"{k / 100} 0.0{k % 7} -0.02 9.81 0.001 -0.002 0.003" for k in range(40)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        (SAMPLES, r"column 1 rises from row to row, from 0.0 to 0.39"),
+        ([f"{k - 2 * (k > 20)} {k % 5} 6 65.4" for k in range(40)], "column 1 rises"),  # times that go back once
+        ([f"{k % 5} {k % 7} 6 65 0.1 -2.5 9" for k in range(40)], "column 6 is no colour, from -2.5 to -2.5"),
+        (
+            ["timestamp,x,y,z", *(f"{10**18 + k * 10**8},{k * 0.1},4,1" for k in range(40))],
+            r"in 3\.9 s of column 1",
+        ),
+        (
+            ["x,y,z,time", *(f"{k % 7},0.2,9.8,{k / 100}" for k in range(40))],
+            r"in 0\.39 s of column 4 \(time\)",
+        ),
+        (["# lat, lon, h", *(f"{48 + k % 3},11,{k}" for k in range(40))], "its columns are lat, lon, h"),
+        ([f"{48.1 + k % 7 * 1e-6} 11.5 {500 + k}" for k in range(40)], "differ by less than 0.1 m"),
+        ([f"{k % 7 * 1000} 11.5 500" for k in range(40)], r"columns 1 \(x\), .* are 2000 m from their middle"),
+    ],
+)
+def test_table_of_what_no_lidar_measures_is_refused(tmp_path: Path, rows: list[str], reason: str) -> None:
+    (tmp_path / "a.txt").write_text("\n".join(rows))
+    with pytest.raises(LogError, match=rf"a\.txt: no points scan \(a table that is no point cloud: .*{reason}"):
+        open_recording(tmp_path / "a.txt")
+    (tmp_path / "b.txt").write_text("\n".join(rows[: MIN_ROWS - 1]))  # too few to judge
+    if not rows[0][0].isalpha():
+        assert len(scans_of(open_recording(tmp_path / "b.txt"))) == 1
+
+
+def test_points_in_any_order_and_density_are_read(tmp_path: Path) -> None:
+    far = "\n".join(f"{x + 5e5} {y + 5.7e6} {z}" for x, y, z in XYZ.tolist())  # a map projection
+    timed = "x y z time\n" + "\n".join(f"{x} {y} {z} {k * 1e-4}" for k, (x, y, z) in enumerate(XYZ.tolist()))
+    falling = "\n".join(f"{-k} {k % 3} 1" for k in range(40))
+    for content in (far, timed, falling):
+        assert len(read_one(tmp_path / "a.txt", content).points_m) == 40
 
 
 # --- Folders

@@ -129,8 +129,7 @@ def test_without_date(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("times", "days"),
     [
-        (("000416.00", "235900.00", "000000.00"), (0, 0, 1)),  # a clock that was set: not before 1970
-        (("000010.00", "235959.00"), (0, 0)),
+        (("000416.00", "235800.00", "000000.00"), (0, 0, 1)),  # a clock that was set: not before 1970
         (("001640.00", "131640.00", "131641.00"), (0, 0, 0)),  # a gap of 13 h
         (("131640.00", "001640.00"), (0, 1)),
         (("101112.30", "101110.30"), (0, 0)),
@@ -141,6 +140,11 @@ def test_time_of_day_goes_forwards(tmp_path: Path, times: tuple[str, ...], days:
     for dated, day_ns in ((lines, 0), ([RMC.replace("101112.30", times[0]), *lines], START_NS // (86_400 * S))):
         stamps = [fix.stamp_ns // (86_400 * S) for fix in fixes_of(opened(tmp_path, b"".join(map(line, dated))))]
         assert stamps == [day_ns + day for day in days]
+
+
+def test_no_time_without_date_is_before_1970(tmp_path: Path) -> None:
+    lines = [GGA.replace("101112.30", time) for time in ("000010.00", "235959.00")]
+    assert [fix.stamp_ns // S for fix in fixes_of(opened(tmp_path, b"".join(map(line, lines))))] == [10, 86_399]
 
 
 @pytest.mark.parametrize(
