@@ -10,7 +10,6 @@ _SUPERSTAR = b"|".join(re.escape(bytes((1, value, 255 - value))) for value in ra
 _ABBREVIATED = rb"(?m)^<[A-Z][A-Z0-9]+ [A-Z0-9]+ \d+ \d+\.\d+ [A-Z]+ \d+ |<OK\s+\[\w{3,}\]"
 # Name, pattern, number of times that it must occur in the first bytes
 _PATTERNS: tuple[tuple[str, bytes, int], ...] = (
-    ("a gzip file (unpack it first)", rb"\A\x1f\x8b", 1),
     ("a zip file (unpack it first)", rb"\APK\x03\x04", 1),
     ("UTF-16 text (save it as ASCII)", rb"\A(?:\xff\xfe|\xfe\xff)", 1),
     ("an NTRIP session", rb"\A(?:ICY 200 OK|SOURCETABLE 200|HTTP/1\.[01] 200)", 1),

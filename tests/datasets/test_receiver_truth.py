@@ -171,7 +171,6 @@ def test_every_file_is_imported_or_refused_with_the_reason(path: Path) -> None:
         ("gpsd/naujoks-ntrip.log", "an RTCM 2 stream"),
         ("gpsd/rtcm3.2.log", "an RTCM 3 stream"),
         ("pyrtcm/pygpsdata-1240-1264.log", "an RTCM 3 stream"),
-        ("gpsd/ublox-8.log.chk.gz", "a gzip file"),
         ("pyubx2/pygpsdata-CFG.log", "1 UBX CFG-ANT"),
         ("gpsd/tnt-revolution.log", "50 NMEA 0183 PTNTHTM"),
     ],
