@@ -8,17 +8,25 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from datasets.importers.can_batches import can_batches
+from datasets.importers.can_batches import (
+    ERROR,
+    ERROR_FRAME,
+    EXTENDED_BITS,
+    NO_DATA,
+    STANDARD_BITS,
+    Numbered,
+    can_recording,
+)
 from datasets.importers.captures.container import frames, is_capture
-from datasets.importers.recording import Description, Ignored, Open, Recording, Sensor, Skipped
+from datasets.importers.recording import Ignored, Open, Recording, Skipped
 from messages.command import CanFrame
 
 NAME = "CAN capture"
 LINK = 227
 # The capture does not name its interface.
 CHANNEL = "can0"
-EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
-STANDARD_BITS, EXTENDED_BITS = 0x7FF, 0x1FFF_FFFF
+UNNAMED = f"the capture does not name its interface: {CHANNEL}"
+EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
 
 
 def sniff(path: Path, head: bytes) -> Open | None:
@@ -35,13 +43,10 @@ def open_can_capture(path: Path, _: Path | None = None) -> Recording:
     for _frame in frames(path, damages):
         pass
     ignored = tuple(Ignored(path.name, "file", damage) for damage in damages)
-    sensors = (Sensor(f"can/{CHANNEL}", "", CHANNEL, "SocketCAN"),)
-    notes = (f"the capture does not name its interface: {CHANNEL}",)
-    description = Description(NAME, sensors, ignored=ignored, notes=notes)
-    return Recording(path, description, lambda: can_batches(_can_frames(path)))
+    return can_recording(path, NAME, partial(_can_frames, path), (UNNAMED,), ignored)
 
 
-def _can_frames(path: Path) -> Iterator[tuple[str, CanFrame] | Skipped]:
+def _can_frames(path: Path) -> Iterator[Numbered | Skipped]:
     for frame in frames(path, []):
         skipped = partial(Skipped, frame.receive_ns, CHANNEL, "SocketCAN")
         if frame.link != LINK:
@@ -53,10 +58,11 @@ def _can_frames(path: Path) -> Iterator[tuple[str, CanFrame] | Skipped]:
         identifier, size = struct.unpack_from(">IB", frame.data)
         data = frame.data[8 : 8 + size]
         if identifier & ERROR:
-            yield skipped("error frame of the interface")
-        elif size > 8 or (len(data) < size and not identifier & REMOTE):
+            yield skipped(ERROR_FRAME)
+        elif identifier & REMOTE:
+            yield skipped(NO_DATA)
+        elif size > 8 or len(data) < size:
             yield skipped("more than 8 bytes in a frame, or fewer than it states")
         else:
             bits = EXTENDED_BITS if identifier & EXTENDED else STANDARD_BITS
-            content = b"" if identifier & REMOTE else data
-            yield CHANNEL, CanFrame(frame.receive_ns, identifier & bits, content)
+            yield CHANNEL, CanFrame(frame.receive_ns, identifier & bits, data)

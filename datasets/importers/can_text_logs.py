@@ -1,6 +1,7 @@
-"""CAN logs as text: CRTD, PCAN-View traces of version 1.1, and canboat's raw NMEA 2000 messages; as candump otherwise.
+"""CAN logs as text: CRTD, GVRET (SavvyCAN), PCAN-View traces from version 1.1 on, Vector ASC, canboat, and pysobus.
 
-Sources: docs.openvehicles.com (CRTD), PEAK "PCAN trace file formats" 2.1.2, canboat `common/parse.c`.
+Sources: docs.openvehicles.com (CRTD), SavvyCAN `framefileio.cpp`, PEAK "PCAN trace file formats" 2.1.2, python-can
+`io/asc.py`, canboat `common/parse.c` (raw NMEA 2000 messages), pysobus `tests/jd.txt`.
 """
 
 import re
@@ -10,74 +11,79 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from datasets.importers.can_batches import can_batches
+from datasets.importers.can_batches import ERROR_FRAME, FD, NO_DATA, Numbered, can_lines, can_recording
 from datasets.importers.gnss.clock import DAY_NS, S
-from datasets.importers.recording import Description, Open, Recording, Sensor, Skipped
+from datasets.importers.recording import Open, Recording, Skipped
 from messages.command import CanFrame
-from messages.errors import LogError
 
-NAME = "CRTD, PCAN trace, canboat"
+NAME = "CRTD, GVRET, PCAN trace, Vector ASC, canboat, pysobus"
 CHANNEL = "can0"  # for formats that do not name the channel
-_CRTD = re.compile(r"(\d+)\.(\d{1,9}) (\d*)[RT](?:11|29) ([0-9A-F]{1,8})((?: [0-9A-F]{2}){0,8})", re.IGNORECASE)
-_CRTD_EVENT = re.compile(r"\d+\.\d+ \d*[A-Z]\w*(?: .*)?")
-_PCAN = re.compile(r"\d+\)\s+(\d+)\.(\d) +[RT]x +([0-9A-F]{4,8}) +(\d)((?: +[0-9A-F]{2}){0,8})", re.IGNORECASE)
-_PCAN_START = re.compile(r";\$STARTTIME=(\d+)\.(\d+)")
+LOCAL = "times are those of the recording PC, read as UTC"
+_CRTD = re.compile(r"(\d+)\.(\d{1,9}) (\d*)[RT](?:11|29) ([0-9A-F]{1,8})((?: [0-9A-F]{2}){0,8})", re.I | re.A)
+_CRTD_EVENT = re.compile(r"\d+\.\d+ \d*[A-Z]\w*(?: .*)?", re.A)
+_PCAN_HEAD = re.compile(r";\$(FILEVERSION|STARTTIME|COLUMNS)=(\S+)")
+_PCAN_COLUMNS = {"1.1": "N,O,d,I,l,D", "1.3": "N,O,B,d,I,R,l,D", "2.0": "N,O,T,I,d,l,D", "2.1": "N,O,T,B,I,d,R,L,D"}
+_PCAN_TYPES = {"RR": NO_DATA, "ER": ERROR_FRAME, **dict.fromkeys(("FD", "FB", "FE", "BI"), FD)}
+_EXCEL_DAYS = 25_569  # from 1899-12-30, where PCAN counts from, to 1970-01-01
+_ASC_DATE = re.compile(
+    r"(?:date|begin triggerblock) +\w+ +(\w{3})\w* +(\d+) +(\d+):(\d+):(\d+)(?:\.(\d+))?(?: +([ap])m)? +(\d{4})", re.I
+)
+_ASC_BASE = re.compile(r"base +(hex|dec)(?: +timestamps +(absolute|relative))?", re.I)
+_ASC_EVENT = re.compile(r"(\d+)\.(\d{1,9}) +(\w+)(?: +(.*))?", re.A)
+_ASC_OTHER = re.compile(
+    r"(?:no +)?internal events logged|end triggerblock|[\d.]+ +(?:start of measurement|\d+ +statistic:.*|can +\d+ +status:.*)",
+    re.I,
+)
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9,
+    "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
 _CANBOAT = re.compile(
     r"(\d{4}-\d\d-\d\d)[T-](\d\d:\d\d:\d\d)[.,](\d{1,9})Z?,(\d),(\d{1,6}),(\d{1,3}),(\d{1,3}),(\d{1,3})((?:,[0-9a-f]{2})*),?",
-    re.IGNORECASE,
+    re.IGNORECASE | re.ASCII,
 )
-_EXCEL_DAYS = 25_569  # from 1899-12-30, where PCAN counts from, to 1970-01-01
-Numbered = tuple[str, CanFrame] | None
+_PYSOBUS = re.compile(r"(\d+)\.(\d{1,9})\t([0-9A-F]{8})((?:[0-9A-F]{2}){0,8})\t.*", re.I | re.A)
+_BEGIN = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:[ \t]*(?:(?:#|//)[^\n]*)?\r?\n)*[ \t]*")
+
+
+@dataclass
+class _Head:
+    """What the header of a log says of the lines after it."""
+
+    start_ns: int = 0
+    columns: tuple[str, ...] = ()
+    base: int = 16
+    is_relative: bool = False
+    last_ns: int = 0
 
 
 @dataclass(frozen=True)
 class _Format:
-    """`start` recognizes the first line; `frame` reads one, given the start of the trace, None for a comment."""
+    """`start` recognizes the first line; `frame` reads one, given the header, None for a line of the header."""
 
     name: str
     start: re.Pattern[bytes]
-    frame: Callable[[str, int], Numbered]
+    frame: Callable[[str, _Head], Numbered | None]
     note: str = ""
 
 
 def sniff(path: Path, head: bytes) -> Open | None:
-    """Opens a file by its first line."""
-    found = next((form for form in FORMATS if form.start.match(head)), None)
+    """Opens a file by its first line, beside comments."""
+    begin = _BEGIN.sub(b"", head, count=1)
+    found = next((form for form in FORMATS if form.start.match(begin)), None)
     return None if found is None else partial(_open, found)
 
 
 def _open(form: _Format, path: Path, _: Path | None = None) -> Recording:
-    items = partial(_frames, form, path)
-    channels = dict.fromkeys(item[0] for item in items() if not isinstance(item, Skipped))
-    sensors = tuple(Sensor(f"can/{channel}", "", channel, form.name) for channel in channels)
-    notes = (form.note,) if form.note else ()
-    return Recording(path, Description(form.name, sensors, notes=notes), lambda: can_batches(items()))
+    return can_recording(path, form.name, partial(_frames, form, path), (form.note,) if form.note else ())
 
 
-def _frames(form: _Format, path: Path) -> Iterator[tuple[str, CanFrame] | Skipped]:
-    start_ns = last_ns = 0
-    try:
-        with path.open(encoding="ascii", errors="replace") as file:
-            for line in filter(None, map(str.strip, file)):
-                start_ns = _start_ns(line) or start_ns
-                try:
-                    found = form.frame(line, start_ns)
-                except ValueError as error:
-                    yield Skipped(last_ns, path.name, "lines", str(error))
-                    continue
-                if found is not None:
-                    last_ns = found[1].stamp_ns
-                    yield found
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error})") from error
+def _frames(form: _Format, path: Path) -> Iterator[Numbered | Skipped]:
+    head = _Head()
+    return can_lines(path, lambda line: form.frame(line, head))
 
 
-def _start_ns(line: str) -> int:
-    found = _PCAN_START.match(line)
-    return 0 if found is None else (int(found[1]) - _EXCEL_DAYS) * DAY_NS + round(float("0." + found[2]) * DAY_NS)
-
-
-def _crtd(line: str, _: int) -> Numbered:
+def _crtd(line: str, _: _Head) -> Numbered | None:
     found = _CRTD.fullmatch(line)
     if found is None:
         if _CRTD_EVENT.fullmatch(line) and not re.match(r"\S+ \d*[RT](?:11|29)\b", line):
@@ -87,20 +93,103 @@ def _crtd(line: str, _: int) -> Numbered:
     return f"can{found[3] or 0}", frame
 
 
-def _pcan(line: str, start_ns: int) -> Numbered:
+def _gvret(line: str, head: _Head) -> Numbered | None:
+    values = [value.strip() for value in line.split(",")]
+    if not head.columns:
+        head.columns = tuple(value.lower() for value in values)
+        return None
+    row = dict(zip(head.columns, values, strict=False))
+    try:
+        size, at = int(row["len"]), head.columns.index("d1")
+        data = bytes.fromhex("".join(value.zfill(2) for value in values[at : at + size]))
+        frame = CanFrame(int(row["time stamp"]) * 1000, int(row["id"], 16), data)
+        channel = f"can{int(row['bus'])}"
+    except (KeyError, ValueError) as error:
+        raise ValueError("not of the form of the header, Time Stamp,ID,...") from error
+    if size > 8:
+        raise ValueError(FD)
+    if len(data) != size:
+        raise ValueError("the length is not that of the data")
+    return channel, frame
+
+
+def _pcan(line: str, head: _Head) -> Numbered | None:
     if line.startswith(";"):
+        _pcan_head(line, head)
         return None
-    found = _PCAN.fullmatch(line)
-    if found is None or len(data := bytes.fromhex(found[5])) != int(found[4]):
-        raise ValueError("not of the form number) milliseconds Rx ID length data")
-    stamp_ns = start_ns + int(found[1]) * 1_000_000 + int(found[2]) * 100_000
-    return CHANNEL, CanFrame(stamp_ns, int(found[3], 16), data)
+    row = dict(zip(head.columns, line.split(maxsplit=len(head.columns) - 1), strict=False))
+    if "T" not in row and row.get("d") not in ("Rx", "Tx"):
+        raise ValueError("not a data frame" if "d" in row else "not of the form of the columns")
+    if line.endswith("RTR"):
+        raise ValueError(NO_DATA)
+    if row.get("T", "DT") != "DT":
+        raise ValueError(_PCAN_TYPES.get(row["T"], "not a data frame"))
+    try:
+        milliseconds, _, fraction = row["O"].partition(".")
+        size, content = int(row.get("l", row.get("L", ""))), row.get("D", "")
+        data = bytes.fromhex(content)
+        identifier, stamp_ns = int(row["I"], 16), int(milliseconds) * 1_000_000 + int(fraction.ljust(6, "0"))
+    except KeyError as error:
+        raise ValueError("not of the form of the columns") from error
+    if len(data) != size:
+        raise ValueError("the length is not that of the data")
+    return f"can{row['B']}" if "B" in row else CHANNEL, CanFrame(head.start_ns + stamp_ns, identifier, data)
 
 
-def _canboat(line: str, _: int) -> Numbered:
+def _pcan_head(line: str, head: _Head) -> None:
+    found = _PCAN_HEAD.match(line)
+    if found is None:
+        return
+    if found[1] == "STARTTIME":
+        days, _, fraction = found[2].partition(".")
+        head.start_ns = (int(days) - _EXCEL_DAYS) * DAY_NS + round(float(f"0.{fraction}") * DAY_NS)
+    else:
+        head.columns = tuple((_PCAN_COLUMNS.get(found[2], "") if found[1] == "FILEVERSION" else found[2]).split(","))
+
+
+def _asc(line: str, head: _Head) -> Numbered | None:
+    if (begin := _ASC_DATE.match(line)) is not None:
+        head.start_ns = _asc_ns(begin)
+        return None
+    if (base := _ASC_BASE.match(line)) is not None:
+        head.base, head.is_relative = 10 if base[1].lower() == "dec" else 16, (base[2] or "").lower() == "relative"
+        return None
+    event = _ASC_EVENT.fullmatch(line)
+    if _ASC_OTHER.fullmatch(line):
+        return None
+    if event is None:
+        raise ValueError("not of the form seconds channel ID Rx d length data")
+    since_ns = int(event[1]) * S + _ns(event[2])
+    head.last_ns = head.last_ns + since_ns if head.is_relative else since_ns
+    words = (event[4] or "").split()
+    if event[3] == "CANFD":
+        raise ValueError(FD)
+    if words[:1] == ["ErrorFrame"]:
+        raise ValueError(ERROR_FRAME)
+    if not event[3].isdigit() or len(words) < 3 or words[1] not in ("Rx", "Tx", "TxRq"):
+        raise ValueError("an event that is no CAN frame")
+    if words[2] == "r":
+        raise ValueError(NO_DATA)
+    size = int(words[3], 16) if len(words) > 3 else 0
+    data = bytes(int(word, head.base) for word in words[4 : 4 + size])
+    if len(data) != size:
+        raise ValueError("the length is not that of the data")
+    identifier = int(words[0].rstrip("xX"), head.base)
+    return f"can{event[3]}", CanFrame(head.start_ns + head.last_ns, identifier, data)
+
+
+def _asc_ns(found: re.Match[str]) -> int:
+    """Unix time (ns) of a date; raises ValueError."""
+    month, day, hour, minute, second, fraction, half, year = found.groups()
+    if month.lower() not in _MONTHS:
+        raise ValueError(f"{month!r} is no month")
+    hour_of_day = int(hour) % 12 + 12 * (half.lower() == "p") if half else int(hour)
+    at = datetime(int(year), _MONTHS[month.lower()], int(day), hour_of_day, int(minute), int(second), tzinfo=UTC)
+    return round(at.timestamp()) * S + _ns(fraction or "0")
+
+
+def _canboat(line: str, _: _Head) -> Numbered | None:
     """A message of at most 8 bytes as the frame that carried it; the frames of longer ones are not in the log."""
-    if line.startswith("#"):
-        return None
     found = _CANBOAT.fullmatch(line)
     if found is None:
         raise ValueError("not of the form time,priority,PGN,source,destination,length,data")
@@ -116,16 +205,24 @@ def _canboat(line: str, _: int) -> Numbered:
     return CHANNEL, CanFrame(round(time.timestamp()) * S + _ns(found[3]), identifier, data)
 
 
+def _pysobus(line: str, _: _Head) -> Numbered | None:
+    found = _PYSOBUS.fullmatch(line)
+    if found is None:
+        raise ValueError("not of the form seconds, ID and data, PGN, values")
+    return CHANNEL, CanFrame(int(found[1]) * S + _ns(found[2]), int(found[3], 16), bytes.fromhex(found[4]))
+
+
 def _ns(fraction: str) -> int:
     return int(fraction.ljust(9, "0"))
 
 
 FORMATS = (
-    _Format("CRTD", re.compile(rb"\A\d+\.\d+ \d*(?:C[XVE]\w|[RT](?:11|29)) "), _crtd),
+    _Format("CRTD", re.compile(rb"\d+\.\d+ \d*(?:C[XVE]\w|[RT](?:11|29)) "), _crtd),
     _Format(
-        "PCAN trace", re.compile(rb"\A;\$FILEVERSION=1\.1\s"), _pcan, "times are those of the recording PC, read as UTC"
+        "GVRET", re.compile(rb"Time Stamp,ID,Extended,", re.I), _gvret, "times count as in the log, from its start"
     ),
-    _Format(
-        "canboat", re.compile(rb"\A(?:#[^\n]*\n)*\d{4}-\d\d-\d\d[T-][\d:]{8}[.,]\d+Z?,\d,\d+,\d+,\d+,\d+,"), _canboat
-    ),
+    _Format("PCAN trace", re.compile(rb";\$FILEVERSION=(?:1\.[13]|2\.[01])\s"), _pcan, LOCAL),
+    _Format("Vector ASC", re.compile(rb"(?:date +\w+ +\w+ +\d|base +(?:hex|dec)\b)", re.I), _asc, LOCAL),
+    _Format("canboat", re.compile(rb"\d{4}-\d\d-\d\d[T-][\d:]{8}[.,]\d+Z?,\d,\d+,\d+,\d+,\d+,"), _canboat),
+    _Format("pysobus", re.compile(rb"\d{10}\.\d+\t[0-9A-F]{8,24}\t\d+\t", re.I), _pysobus),
 )

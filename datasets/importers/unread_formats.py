@@ -29,7 +29,7 @@ _PATTERNS: tuple[tuple[str, bytes, int], ...] = (
     ("SICK CoLa telegrams", rb"\A\x02(?:\x02{3}.{4})?s[A-Z]{2} ", 1),
     ("a SICK msgpack scan segment", rb"\A\x82\x10\xcc\x90\x11\x88", 1),
     ("a table of angles of a lidar, used beside its capture", rb"\A(?:Laser id|Channel),Elevation,Azimuth", 1),
-    ("a PCAN trace of another version than 1.1", rb"\A;\$FILEVERSION=", 1),
+    ("a PCAN trace of another version than 1.1, 1.3, 2.0 and 2.1", rb"\A;\$FILEVERSION=", 1),
     ("output of candump without times (record with candump -l)", rb"\A *\w+  [0-9A-F]{3,8}   \[\d\] ", 1),
     ("JSON", rb"\A\s*[\[{]\s*[\"{]", 1),
 )

@@ -317,7 +317,7 @@ def test_headland_log_round_trip(tmp_path: Path) -> None:
 def test_candump(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_text(
-        "(1.000001) can0 18FEF100#0102\n(1.019) can1 7FF#\n(1.019999) can0 0CF00400#FF\n(1.020001) can0 1#R\n"
+        "(1.000001) can0 18FEF100#0102\n(1.019) can1 7FF#\n(1.019999) can0 0CF00400#FF\n(1.020001) can0 1#\n"
     )
     received = list(open_recording(path).read())
     assert [(t, topic, len(m.frames)) for t, topic, m in received] == [
