@@ -31,7 +31,8 @@ _ASC_DATE = re.compile(
 _ASC_BASE = re.compile(r"base +(hex|dec)(?: +timestamps +(absolute|relative))?", re.I)
 _ASC_EVENT = re.compile(r"(\d+)\.(\d{1,9}) +(\w+)(?: +(.*))?", re.A)
 _ASC_OTHER = re.compile(
-    r"(?:no +)?internal events logged|end triggerblock|[\d.]+ +(?:start of measurement|\d+ +statistic:.*|can +\d+ +status:.*)",
+    r"(?:no +)?internal events logged|end triggerblock"
+    r"|[\d.]+ +(?:start of measurement|\d+ +statistic:.*|can +\d+ +status:.*)",
     re.I,
 )
 _MONTHS = {

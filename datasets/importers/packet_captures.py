@@ -5,7 +5,7 @@ Scans are lists of points: beams that fire together differ in azimuth, which a r
 ranges beyond 65.5 m. They may be incomplete, at the ends of the capture and where packets were lost, which is counted.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +31,8 @@ from messages.message import Message
 
 NAME = "packet capture"
 MAKERS: tuple[Maker, ...] = (ars548, hesai, ouster, velodyne)
+# Datagrams of a stream before each one that it may repeat
+COMPARED = 16
 # Reasons listed in an error, and kinds of other content counted apart.
 MAX_REASONS, MAX_OTHER = 8, 100
 OTHER = "other UDP ports", "unknown content is not read"
@@ -138,17 +140,20 @@ def _extrinsics(decoders: dict[Stream, Decoder], names: dict[Stream, str]) -> It
 
 def _read(path: Path, labels: dict[Stream, str], topics: dict[str, str]) -> Iterator[Received | Skipped]:
     decoders: dict[Stream, Decoder] = {}
-    last: dict[Stream, Datagram] = {}
+    last: dict[Stream, deque[bytes]] = {}
+    end_ns = 0
     for datagram in Network().datagrams(frames(path, [])):
         recognized = _recognize(datagram)
         if recognized is None or labels.get(recognized[1]) not in topics:
             continue
         maker, stream = recognized
         label = labels[stream]
-        if stream in last and last[stream].payload == datagram.payload:
+        end_ns = max(end_ns, datagram.receive_ns)
+        before = last.setdefault(stream, deque(maxlen=COMPARED))
+        if datagram.payload in before:
             yield Skipped(datagram.receive_ns, label, stream.model, "repeated datagram")
             continue
-        last[stream] = datagram
+        before.append(datagram.payload)
         try:
             if stream not in decoders:
                 decoders[stream] = maker.open_decoder(stream, datagram.payload, path)
@@ -156,7 +161,6 @@ def _read(path: Path, labels: dict[Stream, str], topics: dict[str, str]) -> Iter
                 yield _item(datagram.receive_ns, found, topics[label], label, stream)
         except BAD_MESSAGE as error:
             yield Skipped(datagram.receive_ns, label, stream.model, str(error))
-    end_ns = max((d.receive_ns for d in last.values()), default=0)
     for stream, decoder in decoders.items():
         try:
             for found in decoder.finish():

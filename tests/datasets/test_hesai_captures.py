@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from datasets.importers.captures.continuity import LATE
 from datasets.importers.captures.hesai import GAP, is_return, recognize
 from datasets.importers.captures.hesai_models import MODELS, START, TAILS, Model
 from datasets.importers.formats import open_recording
@@ -161,6 +162,7 @@ def test_design_angles_are_noted(tmp_path: Path) -> None:
 
 
 TURN = packets(XT32)
+MISSING = "packet missing at azimuth {}° to {}°"
 UNKNOWN = "another Hesai model in UDP datagrams of {} bytes is not read"
 TAIL = 12 + 8 * 130  # offset of the tail
 
@@ -169,8 +171,10 @@ TAIL = 12 + 8 * 130  # offset of the tail
     ("change", "count", "expected"),
     [
         (lambda p: p, 2, {}),
-        (lambda p: p[:100] + p[140:], 2, {}),
+        (lambda p: p[:100] + p[140:], 2, {MISSING.format(90, 180): 13, MISSING.format(180, 270): 27}),
         (lambda p: [*p[:5], p[6], p[5], *p[7:]], 2, {}),
+        (lambda p: [p[k ^ 1] for k in range(len(p) // 2 * 2)], 2, {}),
+        (lambda p: [p[0], *p[2:9], p[1], *p[9:]], 2, {LATE: 1, MISSING.format(0, 90): 1}),
         (lambda p: [q for q in p for _ in range(2)], 2, {"repeated datagram": len(TURN)}),
         (lambda p: [*p, p[0][:-9]], 2, {UNKNOWN.format(1071): 1}),
         (lambda p: [*p, bytes(1080)], 2, {"unknown content in UDP datagrams of 1080 bytes is not read": 1}),
@@ -183,8 +187,8 @@ TAIL = 12 + 8 * 130  # offset of the tail
         (lambda p: p[:30] + p[190:], 2, {GAP: 1}),
         (lambda p: p[:1], 1, {}),
     ],
-    ids=["whole", "lost", "order", "twice", "short", "zeros", "lasers", "azimuth", "mode", "month", "no date",
-         "time back", "gap", "one"],
+    ids=["whole", "lost", "order", "swapped", "late", "twice", "short", "zeros", "lasers", "azimuth", "mode", "month",
+         "no date", "time back", "gap", "one"],
 )  # fmt: skip
 def test_damaged_streams(tmp_path: Path, change: Any, count: int, expected: dict[str, int]) -> None:
     source = capture(tmp_path, XT32, change(TURN))
@@ -197,6 +201,13 @@ def test_damaged_streams(tmp_path: Path, change: Any, count: int, expected: dict
     assert sum(total.values()) == sum(expected.values())
     assert all(np.isfinite(s.xyz_m).all() and (s.offset_s <= 0.0).all() for s in found)
     assert all(abs(s.stamp_ns - SECOND * NS) < 2 * NS for s in found)
+
+
+def test_missing_packets_by_their_sequence_numbers(tmp_path: Path) -> None:
+    sent = [p[: XT32.dtype.itemsize] + (k + 7).to_bytes(4, "little") for k, p in enumerate(TURN)]
+    source = capture(tmp_path, XT32, sent[:20] + sent[23:])
+    assert len(scans_of(source)) == 2
+    assert reasons(source) == {MISSING.format(0, 90): 3}
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -14,7 +14,7 @@ import pytest
 
 from datasets.importers.captures.devices import Stream
 from datasets.importers.captures.ouster import OusterLidar, beams, open_decoder, recognize
-from datasets.importers.captures.ouster_format import PROFILES, read_metadata
+from datasets.importers.captures.ouster_format import ENCODER, PROFILES, read_metadata
 from datasets.importers.formats import open_recording
 from datasets.importers.packet_captures import open_capture
 from messages.errors import LogError
@@ -113,7 +113,9 @@ def header(profile: str, frame: int) -> bytes:
 
 def column(profile: str, number: int, frame: int, time_ns: int, pixels: np.ndarray) -> bytes:
     if profile == "LEGACY":
-        return struct.pack("<QHHI", time_ns, number, frame, 0) + pixels.tobytes() + b"\xff" * 4
+        return (
+            struct.pack("<QHHI", time_ns, number, frame, number * ENCODER // COLUMNS) + pixels.tobytes() + b"\xff" * 4
+        )
     return struct.pack("<QHH", time_ns, number, 1) + pixels.tobytes()
 
 
@@ -237,6 +239,13 @@ def test_legacy_capture_of_the_first_firmware(tmp_path: Path) -> None:
     assert len(scan.xyz_m) == 16_749  # as ouster-sdk 1.0.1
 
 
+def test_columns_of_a_turn_that_the_encoder_contradicts(tmp_path: Path) -> None:
+    values = metadata("LEGACY")
+    values["data_format"] |= {"columns_per_frame": 2 * COLUMNS}
+    with pytest.raises(LogError, match=f"columns_per_frame {2 * COLUMNS}, the packets have {COLUMNS}"):
+        open_recording(capture(tmp_path, lidar_packets("LEGACY", wall_ranges()), values))
+
+
 # --- damaged and foreign packets
 
 
@@ -258,9 +267,9 @@ FULL = int((wall_ranges() > 0).sum())
         (lambda p: p, 3, 3 * FULL, {}),
         (lambda p: p[:5] + p[6:], 3, None, {MISSING: 1}),  # lost columns
         (lambda p: [*p[:4], p[5], p[4], *p[6:]], 3, 3 * FULL, {}),  # out of order
-        (lambda p: [*p[:6], p[3], *p[6:]], 3, 3 * FULL, {"packet of frame 0 after the start of frame 1": 1}),
+        (lambda p: [*p[:6], p[3], *p[6:]], 3, 3 * FULL, {"repeated datagram": 1}),
         (lambda p: [q for q in p for _ in range(2)], 3, 3 * FULL, {"repeated datagram": 12}),
-        (lambda p: [p[0], *p[:2], *p], 3, 3 * FULL, {"repeated datagram": 1}),
+        (lambda p: [p[0], *p[:2], *p], 3, 3 * FULL, {"repeated datagram": 3}),
         (lambda p: p[8:] + p[:4], 1, FULL, {"packet of frame 0 after the start of frame 2": 4}),
         (lambda p: [*p, p[3][:-1], p[3] + b"\0", b"", b"\0" * 48], 3, 3 * FULL, {}),
         (lambda p: [*p[:2], p[2][:32] + b"\xff" * (len(p[2]) - 32), *p[3:]], 3, None, {}),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from datasets.importers.captures.continuity import LATE
 from datasets.importers.captures.velodyne import GAP, recognize
 from datasets.importers.formats import open_recording
 from datasets.importers.recording import Recording
@@ -136,6 +137,7 @@ def count_returns(payload: bytes) -> int:
     return int(units[:, :2].any(axis=1).sum())
 
 
+MISSING = "packet missing at azimuth {}° to {}°"
 TURN = [data_packet(k) for k in range(PER_TURN)]
 COUNT = sum(count_returns(p) for p in TURN)
 
@@ -144,9 +146,16 @@ COUNT = sum(count_returns(p) for p in TURN)
     ("change", "points", "expected"),
     [
         (lambda p: p, COUNT, {}),
-        (lambda p: p[:10] + p[20:], None, {}),
+        (lambda p: p[:10] + p[20:], None, {MISSING.format(0, 90): 9, MISSING.format(90, 180): 1}),
         (lambda p: [*p[:5], p[6], p[5], *p[7:]], COUNT, {}),
+        (lambda p: [p[k ^ 1] for k in range(PER_TURN // 2 * 2)] + p[PER_TURN // 2 * 2 :], COUNT, {}),
         (lambda p: [q for q in p for _ in range(2)], COUNT, {"repeated datagram": PER_TURN}),
+        (
+            lambda p: [q for k in range(len(p)) for q in (p[k], p[max(0, k - 3)])],
+            COUNT,
+            {"repeated datagram": PER_TURN},
+        ),
+        (lambda p: [*p[:5], *p[6:12], p[5], *p[12:]], None, {LATE: 1, MISSING.format(0, 90): 1}),
         (lambda p: [*p, p[0][:-1]], COUNT, {"another Velodyne model in UDP datagrams of 1205 bytes is not read": 1}),
         (lambda p: [*p, b"\0" * 1206], COUNT, {"unknown content in UDP datagrams of 1206 bytes is not read": 1}),
         (
@@ -164,7 +173,10 @@ COUNT = sum(count_returns(p) for p in TURN)
         "whole",
         "lost",
         "order",
+        "swapped",
         "twice",
+        "again",
+        "late",
         "short",
         "zeros",
         "model",

@@ -13,10 +13,12 @@ import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from datasets.importers.captures.clock import SensorClock
+from datasets.importers.captures.continuity import Continuity, InOrder, Packet
 from datasets.importers.captures.devices import Decoder, Lost, Stream
 from datasets.importers.captures.hesai_models import RETURNS, TAILS, Model, model_of
 from datasets.importers.point_clouds import list_scan
@@ -64,25 +66,44 @@ class HesaiLidar:
         self._times_ns: list[int] = []
         self._receive_ns = 0
         self._phase = 0
+        self._last_ns: int | None = None
+        self._order, self._continuity = InOrder(), Continuity()
 
     def receive(self, payload: bytes, receive_ns: int) -> Iterator[Message | Lost]:
-        model = self._model
-        packet = np.frombuffer(payload, model.dtype, 1)[0]
-        azimuth, mode = int(packet["blocks"]["azimuth"].max()), int(packet["tail"][TAILS[model.tail]["mode"]])
+        packet = self._fields(payload)
+        azimuth = int(packet["blocks"]["azimuth"].max())
+        mode = int(packet["tail"][TAILS[self._model.tail]["mode"]])
         if azimuth >= TURN or mode not in RETURNS:
             raise LogError(f"azimuth of {azimuth / 100:.2f}°, return mode 0x{mode:02x}")
-        time_ns = _time_ns(packet["tail"].tobytes(), TAILS[model.tail], receive_ns)
-        phase = (int(packet["blocks"]["azimuth"][0]) - CUT) % TURN
-        is_gap = bool(self._times_ns) and abs(time_ns - self._times_ns[-1]) > GAP_NS
-        if is_gap or abs(phase - self._phase) > TURN // 2:
+        time_ns = _time_ns(packet["tail"].tobytes(), TAILS[self._model.tail], receive_ns)
+        if self._last_ns is not None and abs(time_ns - self._last_ns) > GAP_NS:
             yield from self.finish()
-        if is_gap:
             yield Lost(GAP)
-        self._packets.append(payload[: model.dtype.itemsize])
-        self._times_ns.append(time_ns)
-        self._phase, self._receive_ns = phase, receive_ns
+        self._last_ns = time_ns
+        for found in self._order.add(Packet(time_ns, payload, receive_ns)):
+            yield from self._take(found)
 
     def finish(self) -> Iterator[Message | Lost]:
+        for packet in self._order.finish():
+            yield from self._take(packet)
+        self._continuity.restart()
+        yield from self._finish_scan()
+
+    def _take(self, packet: Packet) -> Iterator[Message | Lost]:
+        """What a packet in its order completes."""
+        azimuths = self._fields(packet.payload)["blocks"]["azimuth"].tolist()
+        yield from self._continuity.lost(azimuths, _sequence(packet.payload, self._model))
+        phase = (azimuths[0] - CUT) % TURN
+        if abs(phase - self._phase) > TURN // 2:
+            yield from self._finish_scan()
+        self._packets.append(packet.payload[: self._model.dtype.itemsize])
+        self._times_ns.append(packet.time_ns)
+        self._phase, self._receive_ns = phase, packet.receive_ns
+
+    def _fields(self, payload: bytes) -> Any:
+        return np.frombuffer(payload, self._model.dtype, 1)[0]
+
+    def _finish_scan(self) -> Iterator[Message]:
         if self._packets:
             yield self._scan()
         self._packets, self._times_ns = [], []
@@ -105,6 +126,12 @@ class HesaiLidar:
         stamp_ns = self._clock.stamp_ns(end_ns, self._receive_ns)
         age_ns = end_ns - time_ns[at]
         return list_scan(stamp_ns, xyz_m.astype(np.float32), units["reflectivity"][at], age_ns * -1e-9)
+
+
+def _sequence(payload: bytes, model: Model) -> int | None:
+    """Number of a packet after its tail, where the sensor sends it."""
+    after = payload[model.dtype.itemsize :]
+    return int.from_bytes(after, "little") if len(after) == 4 and any(after) else None
 
 
 def _time_ns(tail: bytes, at: dict[str, int], receive_ns: int) -> int:

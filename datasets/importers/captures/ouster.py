@@ -99,6 +99,10 @@ def find_metadata(capture: Path, payload: bytes) -> Metadata:
             reasons.append(f"{path.name}: for packets of {size} bytes")
         elif serial is not None and metadata.serial not in ("", serial):
             reasons.append(f"{path.name}: of the sensor {metadata.serial}")
+        elif (sent := metadata.format.sent_columns(payload)) != metadata.format.columns_per_frame:
+            reasons.append(
+                f"{path.name}: columns_per_frame {metadata.format.columns_per_frame}, the packets have {sent}"
+            )
         else:
             return metadata
     tried = "; ".join(reasons) or "none found"

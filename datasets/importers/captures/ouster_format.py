@@ -36,6 +36,7 @@ PROFILES: dict[str, tuple[int, Layout]] = {
     "RNG15_RFL8_NIR8_DUAL": (2, _LOW | _LOW_2),
     "FUSA_RNG15_RFL8_NIR8_DUAL": (2, _LOW | _LOW_2),
 }
+ENCODER = 90_112  # counts of a turn
 FUSA = "FUSA_RNG15_RFL8_NIR8_DUAL"
 # Distance (mm) from the axis of rotation to the origin of the beams, for metadata without it: by product line.
 BEAM_ORIGIN_MM = {"OS-0": 27.67, "OS-1": 15.806, "OS-2": 13.762}
@@ -73,6 +74,15 @@ class Format:
         if int(columns["measurement"].max()) >= self.columns_per_frame:
             raise LogError(f"column {columns['measurement'].max()} of {self.columns_per_frame}")
         return columns
+
+    def sent_columns(self, payload: bytes) -> int:
+        """Columns of a turn by the encoder, which only packets of the legacy profile have; else `columns_per_frame`."""
+        if self.profile != "LEGACY":
+            return self.columns_per_frame
+        columns = np.frombuffer(payload, self.dtype)[0]["columns"]
+        counts, numbers = (np.diff(columns[name].astype(np.int64)) for name in ("encoder", "measurement"))
+        is_next = (counts > 0) & (numbers == 1)
+        return round(ENCODER / float(np.median(counts[is_next]))) if is_next.any() else self.columns_per_frame
 
     def frame_id(self, payload: bytes) -> int:
         """Number of the frame, which wraps at 65536."""

@@ -13,13 +13,14 @@ import numpy as np
 from velodyne_decoder import Config, Model, PointField, StreamDecoder  # type: ignore[import-untyped]
 
 from datasets.importers.captures.clock import SensorClock
+from datasets.importers.captures.continuity import Continuity, InOrder, Packet
 from datasets.importers.captures.devices import Decoder, Lost, Stream
 from datasets.importers.gnss.fix import fix_of
 from datasets.importers.gnss.nmea import NmeaEpochs
 from datasets.importers.gnss.sentence import parse
 from datasets.importers.point_clouds import list_scan
 from datasets.importers.recording import Extrinsic
-from geometry.arrays import Float32
+from geometry.arrays import Float32, UInt16
 from messages.errors import LogError
 from messages.message import Message
 
@@ -57,6 +58,11 @@ def open_decoder(stream: Stream, payload: bytes, capture: Path) -> Decoder:
     return VelodynePosition() if stream.model == POSITION else VelodyneLidar(MODELS[payload[-1]][1])
 
 
+def _azimuths(payload: bytes) -> UInt16:
+    """Azimuth of each block in 0.01°."""
+    return np.frombuffer(payload, "<u2", SIZE // 2)[1 : BLOCKS * BLOCK_SIZE // 2 : BLOCK_SIZE // 2]
+
+
 class VelodyneLidar:
     """Scans of one lidar."""
 
@@ -70,9 +76,11 @@ class VelodyneLidar:
         self._stream = StreamDecoder(config)
         self._clock = SensorClock()
         self._last_us: int | None = None
+        self._time_us = 0  # without the turn of the hour
+        self._order, self._continuity = InOrder(), Continuity()
 
     def receive(self, payload: bytes, receive_ns: int) -> Iterator[Message | Lost]:
-        azimuths = np.frombuffer(payload, "<u2", SIZE // 2)[1 : BLOCKS * BLOCK_SIZE // 2 : BLOCK_SIZE // 2]
+        azimuths = _azimuths(payload)
         if azimuths.max() >= 36_000:
             raise LogError(f"azimuth of {azimuths.max() / 100:.2f}°")
         time_us = int.from_bytes(payload[-6:-2], "little")
@@ -82,11 +90,20 @@ class VelodyneLidar:
         if abs(since_us) > GAP_US:
             yield from self.finish()
             yield Lost(GAP)
-        self._last_us = time_us
-        yield from self._scan(self._stream.decode(receive_ns * 1e-9, payload))
+        self._last_us, self._time_us = time_us, self._time_us + since_us
+        for packet in self._order.add(Packet(self._time_us * 1000, payload, receive_ns)):
+            yield from self._take(packet)
 
     def finish(self) -> Iterator[Message | Lost]:
+        for packet in self._order.finish():
+            yield from self._take(packet)
+        self._continuity.restart()
         yield from self._scan(self._stream.finish())
+
+    def _take(self, packet: Packet) -> Iterator[Message | Lost]:
+        """What a packet in its order completes."""
+        yield from self._continuity.lost(_azimuths(packet.payload).tolist())
+        yield from self._scan(self._stream.decode(packet.receive_ns * 1e-9, packet.payload))
 
     def _scan(self, decoded: tuple[Any, Float32] | None) -> Iterator[Message | Lost]:
         if decoded is None:
