@@ -31,12 +31,15 @@ NO_DATE = {
 
 
 def sniff(path: Path, head: bytes) -> Open | None:
-    """Opens a file with an NMEA sentence or a UBX message in its first bytes."""
+    """Opens a file with an NMEA sentence or a UBX message in its first bytes, or anywhere if it begins with RTCM 3."""
     if path.is_dir() or head.startswith(CONTAINERS):
         return None
     with path.open("rb") as file:
         data = file.read(SNIFF_BYTES)
-    return open_stream if any(map(_is_ours, frames(data))) else None
+    if any(map(_is_ours, frames(data))):
+        return open_stream
+    is_receiver = len(data) == SNIFF_BYTES and any(frame.protocol == RTCM for frame in frames(data))
+    return open_stream if is_receiver and any(map(_is_ours, frames_of(path))) else None
 
 
 def open_stream(path: Path, _: Path | None = None) -> Recording:

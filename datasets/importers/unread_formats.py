@@ -8,6 +8,8 @@ from datasets.importers.gnss.framing import RTCM, frames
 # Identifiers of SuperStar II are followed by their complement.
 _SUPERSTAR = b"|".join(re.escape(bytes((1, value, 255 - value))) for value in range(1, 128))
 _ABBREVIATED = rb"(?m)^<[A-Z][A-Z0-9]+ [A-Z0-9]+ \d+ \d+\.\d+ [A-Z]+ \d+ |<OK\s+\[\w{3,}\]"
+# Of a receiver that answers with it and sends something else, that is named.
+NOVATEL_TEXT = "a NovAtel abbreviated ASCII stream"
 # Name, pattern, number of times that it must occur in the first bytes
 _PATTERNS: tuple[tuple[str, bytes, int], ...] = (
     ("a zip file (unpack it first)", rb"\APK\x03\x04", 1),
@@ -16,7 +18,9 @@ _PATTERNS: tuple[tuple[str, bytes, int], ...] = (
     ("a NovAtel binary stream", rb"\xaa\x44[\x12\x13]", 1),
     ("a Unicore binary stream", rb"\xaa\x44\xb5", 1),
     ("a NovAtel or Unicore ASCII stream", rb"(?m)^[#%][A-Z][A-Z0-9_]+,[^\r\n;]{5,200};", 1),
-    ("a NovAtel abbreviated ASCII stream", _ABBREVIATED, 1),
+    ("an RTCM 2 stream", rb"[\x40-\x7f]{200,}", 1),
+    ("an RTCM 2 stream", rb"[\x40-\x7f]{60,}", 3),  # one message a line
+    (NOVATEL_TEXT, _ABBREVIATED, 1),
     ("a SiRF binary stream", rb"\xa0\xa2[\x00-\x07].{1,2049}?\xb0\xb3", 2),
     ("a SkyTraq binary stream", rb"\xa0\xa1[\x00-\x0f].{3,1030}?\r\n", 2),
     ("a Motorola Oncore stream", rb"@@[A-Z][a-z].{2,290}?\r\n", 2),
@@ -24,7 +28,6 @@ _PATTERNS: tuple[tuple[str, bytes, int], ...] = (
     ("a Trimble TSIP stream", rb"\x10[\x40-\x8f](?:[^\x10]|\x10\x10){1,300}\x10\x03", 3),
     ("a NovAtel SuperStar II stream", _SUPERSTAR, 4),
     ("a Fastrax iTalk stream", rb"<![\x20-\x7f]\x7f", 2),
-    ("an RTCM 2 stream", rb"[\x40-\x7f]{200,}", 1),
     ("a SICK compact scan segment", rb"\A\x02\x02\x02\x02\x01\0\0\0", 1),
     ("SICK CoLa telegrams", rb"\A\x02(?:\x02{3}.{4})?s[A-Z]{2} ", 1),
     ("a SICK msgpack scan segment", rb"\A\x82\x10\xcc\x90\x11\x88", 1),
@@ -40,10 +43,10 @@ def name_of(head: bytes) -> str | None:
     """Name of the format of a file by its first bytes, None for an unknown one."""
     if _is_sbf(head):
         return "a Septentrio SBF stream"
-    for name, pattern, count in _COMPILED:
-        if len(pattern.findall(head)) >= count:
-            return name
-    return "an RTCM 3 stream" if any(frame.protocol == RTCM for frame in frames(head)) else None
+    name = next((name for name, pattern, count in _COMPILED if len(pattern.findall(head)) >= count), None)
+    if name in (None, NOVATEL_TEXT) and any(frame.protocol == RTCM for frame in frames(head)):
+        return "an RTCM 3 stream"
+    return name
 
 
 def _is_sbf(head: bytes) -> bool:

@@ -8,7 +8,9 @@ import pytest
 
 from datasets.importers.formats import open_recording
 from datasets.importers.gnss.clock import gps_of_utc, utc_of_gps
+from datasets.importers.gnss.nmea import ANOTHER
 from datasets.importers.gnss.sentence import BadSentence, parse
+from datasets.importers.receiver_stream import SNIFF_BYTES
 from datasets.importers.recording import Recording
 from messages.errors import LogError
 from messages.sensors import GnssFix, GnssSolution
@@ -154,6 +156,9 @@ def test_no_time_without_date_is_before_1970(tmp_path: Path) -> None:
         (b"[2026-11-21 10:11:12.350+00:00] ", 50 * MS),
         (b"2026-11-21T18:11:12.35+08:00,", 50 * MS),
         (b"2026-11-21 18:11:12.350: ", 50 * MS),  # without zone: found by comparison
+        (b"2026-11-21 10:11:12.350 AM Z ", 50 * MS),
+        (b"2026-11-21 6:11:12.35 pm +0800,", 50 * MS),
+        (b"2026-11-21 13:11:12.350 PM ", 0),  # no time of a clock of 12 h
         (b"1795255872.35 ", 50 * MS),
         (b"1795255872350,", 50 * MS),
         (b"1795255872350000000\t", 50 * MS),
@@ -218,3 +223,23 @@ def test_leap_seconds() -> None:
 def test_stream_without_a_fix_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"no GNSS fix with a time.*2 NMEA 0183 GPGSV"):
         opened(tmp_path, line("GPGSV,1,1,00") + line("GPGSV,1,1,00"))
+
+
+def test_second_receiver_is_skipped_and_counted(tmp_path: Path) -> None:
+    far = GGA.replace("GNGGA", "GPGGA").replace("5130.69", "5131.69")  # 1.85 km north
+    near = RMC.replace("5130.69000", "5130.691")  # 1.85 m, as of rounding
+    recording = opened(tmp_path, b"".join(map(line, (GGA, far, near, GGA.replace("12.30", "12.40")))))
+    first, second = fixes_of(recording)
+    assert math.degrees(first.latitude_rad) == pytest.approx(51.5115, abs=2e-5)
+    assert not np.isnan(first.velocity_enu_mps[:2]).any()
+    assert second.stamp_ns - first.stamp_ns == 100 * MS
+    assert skipped(recording) == {ANOTHER: 1}
+
+
+def test_sentences_after_much_rtcm(tmp_path: Path) -> None:
+    message = b"\xd3\x00\x13" + bytes.fromhex("3ed7d30202980edeef34b4bd62ac0941986f33") + bytes.fromhex("360b98")
+    sent = message * (SNIFF_BYTES // len(message) + 99)
+    (fix,) = fixes_of(opened(tmp_path, sent + line(GGA)))
+    assert fix.satellites == 21
+    with pytest.raises(LogError, match="is an RTCM 3 stream"):
+        opened(tmp_path, sent)

@@ -170,6 +170,8 @@ def test_every_file_is_imported_or_refused_with_the_reason(path: Path) -> None:
         ("gpsd/italk-binary.log", "a Fastrax iTalk stream"),
         ("gpsd/naujoks-ntrip.log", "an RTCM 2 stream"),
         ("gpsd/rtcm3.2.log", "an RTCM 3 stream"),
+        ("rtklib/testglo.rtcm3", "an RTCM 3 stream"),
+        ("rtklib/testglo.rtcm2", "an RTCM 2 stream"),
         ("pyrtcm/pygpsdata-1240-1264.log", "an RTCM 3 stream"),
         ("pyubx2/pygpsdata-CFG.log", "1 UBX CFG-ANT"),
         ("gpsd/tnt-revolution.log", "50 NMEA 0183 PTNTHTM"),

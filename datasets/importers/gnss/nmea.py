@@ -28,6 +28,9 @@ MODES = {  # of GNS, RMC, GLL and VTG: autonomous, differential, precise (PPS), 
     "A": GnssSolution.SINGLE, "D": GnssSolution.SBAS, "P": GnssSolution.SINGLE, "F": GnssSolution.RTK_FLOAT,
     "R": GnssSolution.RTK_FIXED,
 }  # fmt: skip
+EARTH_M = 6.371e6
+SAME_PLACE_M = 5.0  # receivers round the minutes of some sentences to 2 m
+ANOTHER = f"another receiver: more than {SAME_PLACE_M} m from the position of the same time before"
 TALKERS = {  # of GNSS receivers; GN: several systems
     "GN": "", "GP": "GPS", "GL": "GLO", "GA": "GAL", "GB": "BDS", "BD": "BDS", "GQ": "QZSS", "QZ": "QZSS",
     "GI": "NAVIC",
@@ -51,6 +54,14 @@ class Epoch:
         """Whether a sentence with position and time was received."""
         return self.time_ns is not None and not self.values.keys().isdisjoint(("GGA", "GNS", "RMC", "GLL"))
 
+    def is_elsewhere(self, values: Values) -> bool:
+        """Whether the position of a sentence is not that of this epoch."""
+        latitude, longitude = values.get("latitude_rad", math.nan), values.get("longitude_rad", math.nan)
+        place = next((v for v in self.values.values() if "latitude_rad" in v and "longitude_rad" in v), values)
+        north = latitude - place.get("latitude_rad", math.nan)
+        east = wrap(longitude - place.get("longitude_rad", math.nan)) * math.cos(latitude)
+        return math.hypot(north, east) * EARTH_M > SAME_PLACE_M  # False where one is unknown
+
     def merged(self) -> Values:
         """All known values; without a solution when one sentence says so."""
         merged: Values = {}
@@ -72,6 +83,8 @@ class NmeaEpochs:
         """Stores the values of a sentence; raises BadSentence and then changes nothing."""
         values = READERS[sentence.formatter](sentence)
         time_ns, systems = values.pop("time_ns", None), values.pop("systems", set())
+        if time_ns is not None and time_ns == self._epoch.time_ns and self._epoch.is_elsewhere(values):
+            raise BadSentence(ANOTHER)
         done = None
         if self._begins_next(sentence.formatter, time_ns):
             done, self._epoch = self.finish(), Epoch()
