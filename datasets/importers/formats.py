@@ -14,6 +14,9 @@ from datasets.importers.recording import Open, Recording, read_head
 from datasets.importers.unread_formats import name_of
 from messages.errors import LogError
 
+# Entries of a folder among which a recording is looked for
+MAX_ENTRIES = 100
+
 
 class Importer(Protocol):
     """Contract of an importer module; with `TAKES_LABELS = True` its `open` function accepts label files as truth."""
@@ -51,13 +54,29 @@ def _find(path: Path) -> tuple[Importer, Open]:
     head = b"" if path.is_dir() else read_head(path)
     if not head and not path.is_dir():
         raise LogError(f"{path}: is empty, nothing was recorded")
-    for importer in known_importers():
-        if (found := importer.sniff(path, head)) is not None:
-            return importer, found
+    if (found := _sniff(path, head)) is not None:
+        return found
     names = ", ".join(importer.NAME for importer in known_importers())
     if path.is_dir():
         some = ", ".join(sorted(p.name for p in path.iterdir())[:6]) or "nothing"
-        raise LogError(f"{path}: no known recording format ({names}); it holds {some}")
+        raise LogError(f"{path}: no known recording format ({names}); it holds {some}{_deeper(path)}")
     if (name := name_of(head)) is not None:
         raise LogError(f"{path}: is {name}, which is not read; read are {names}")
     raise LogError(f"{path}: no known recording format ({names}); it begins with {head[:16]!r}")
+
+
+def _sniff(path: Path, head: bytes) -> tuple[Importer, Open] | None:
+    opens = ((importer, importer.sniff(path, head)) for importer in known_importers())
+    return next(((importer, found) for importer, found in opens if found is not None), None)
+
+
+def _deeper(folder: Path) -> str:
+    """Which of the first entries of a folder is a recording, for an error."""
+    for path in sorted(folder.iterdir())[:MAX_ENTRIES]:
+        try:
+            found = _sniff(path, b"" if path.is_dir() else read_head(path))
+        except (LogError, OSError):
+            continue
+        if found is not None:
+            return f"; give {path} ({found[0].NAME}), or another one in the folder"
+    return ""

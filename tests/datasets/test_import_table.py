@@ -132,6 +132,16 @@ def test_import_command_refuses_a_recording_of_which_nothing_is_read(
     assert not (tmp_path / "x.mcap").exists()
 
 
+def test_inspect_log_of_a_folder_says_what_to_give(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "inspect-log", tmp_path) == 2
+    assert f"{tmp_path}: is a folder; import it first" in capsys.readouterr().err
+    (tmp_path / "a.mcap").touch()
+    assert run(monkeypatch, "inspect-log", tmp_path) == 2
+    assert f"{tmp_path}: is a folder; give one of its logs (a.mcap)" in capsys.readouterr().err
+
+
 def test_bound_topics(tmp_path: Path) -> None:
     whole = open_recording(write_bag(tmp_path / "x.bag", {}))
     bound = bind(whole, {"lidar/roof": ("/points", "a"), "gnss/odd": ("gnss/fix", "b"), "imu": ("imu/data", "c")})

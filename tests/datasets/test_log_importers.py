@@ -389,6 +389,17 @@ def test_missing_empty_and_unsuitable_inputs_refused(tmp_path: Path) -> None:
         open_recording(tmp_path / "can", tmp_path / "nowhere")
 
 
+def test_recording_one_level_deeper_is_named(tmp_path: Path) -> None:
+    (tmp_path / "drive/lidar").mkdir(parents=True)
+    (tmp_path / "drive/a.txt").write_text("notes")
+    (tmp_path / "drive/lidar/1.xyz").write_text("1 2 3\n4 5 6\n")
+    with pytest.raises(LogError, match=r"it holds a.txt, lidar; give .*/drive/lidar \(point text\)"):
+        open_recording(tmp_path / "drive")
+    (tmp_path / "drive/lidar/1.xyz").unlink()
+    with pytest.raises(LogError, match=r"it holds a.txt, lidar$"):
+        open_recording(tmp_path / "drive")
+
+
 def test_failed_import_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "can").write_text("(1.0) can0 1#00\n(2.0) can0 1#00\n")
     source = open_recording(tmp_path / "can")
