@@ -58,8 +58,10 @@ class _Unpacked:
         def messages() -> Iterator[Received | Skipped]:
             try:
                 for item in found.messages():
-                    is_skipped = isinstance(item, Skipped)
-                    yield Skipped(item[0], *map(self._named, item[1:])) if is_skipped else item
+                    if isinstance(item, Skipped):
+                        yield item._replace(source=self._named(item.source), reason=self._named(item.reason))
+                    else:
+                        yield item
             except LogError as error:
                 raise LogError(self._named(str(error))) from error
 

@@ -68,4 +68,5 @@ def _frame(message: can.Message, stamp_ns: int, path: Path) -> Numbered | Skippe
         check(frame)
     except ValueError as error:
         return skipped(str(error))
-    return f"can{int(message.channel or 0) + 1}", frame
+    number = message.channel if isinstance(message.channel, int) else 0  # the file counts from 1, python-can from 0
+    return f"can{number + 1}", frame
