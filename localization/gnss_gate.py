@@ -80,6 +80,10 @@ class RejectionReason(StrEnum):
     CONFIRMATION = "first fixes after an outage must agree"
     OUTLIER = "contradicts the prediction"
     SUSPECTED = "has contradicted what is independent of it, and not yet agreed with it again"
+    STAMP = "stamp too far from the time of arrival"
+    LATE = "not newer than the last one, or from before a gap"
+    BEFORE_START = "before the first position, or while it was lost"
+    SHED = "beside the shed, where UWB gives the position"
 
 
 @dataclass(frozen=True)

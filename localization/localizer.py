@@ -1,6 +1,7 @@
 """Localizer node: continuous pose in `odom` at every step, fused pose in `map_pose`."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from configs.site import PoseConfig, Shed
@@ -94,11 +95,23 @@ class Localizer(Node):
         self._gap_s: float | None = None
         self._was_initialized = False
         self._dropped = dict.fromkeys((IMU, WHEEL, "gnss", "uwb"), 0)
+        self._refused: Counter[RejectionReason] = Counter()
 
     @property
     def dropped(self) -> int:
         """Number of samples with invalid values or stamps."""
         return sum(self._dropped.values())
+
+    @property
+    def fixes(self) -> Counter[RejectionReason]:
+        """Number of fixes by what became of them; NONE: in the graph."""
+        return self._refused + self._map_alignment.fixes
+
+    @property
+    def imu_ns(self) -> int | None:
+        """Stamp of the newest IMU sample that was taken, None before the first and after a gap."""
+        track = self._odometry.track
+        return track.last_ns if len(track) else None
 
     def step(self, now_ns: int, inbox: Inbox) -> Iterable[Output]:
         """Takes new measurements, integrates to the newest IMU sample and writes poses and faults."""
@@ -131,11 +144,11 @@ class Localizer(Node):
     def _take(self, now_ns: int, inbox: Inbox) -> None:
         before = self._dropped.copy()
         for wheel in inbox.all(WHEEL, WheelSample) if self._has_wheels else ():
-            self._dropped[WHEEL] += not (self._is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
+            self._dropped[WHEEL] += not (self.is_timely(wheel.stamp_ns, now_ns) and self._odometry.add_wheels(wheel))
         for sample in inbox.all(IMU, ImuSample):
-            self._dropped[IMU] += not (self._is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
+            self._dropped[IMU] += not (self.is_timely(sample.stamp_ns, now_ns) and self._add_imu(sample))
         for fix in inbox.all(self._gnss, GnssFix):
-            self._dropped["gnss"] += not (self._is_timely(fix.stamp_ns, now_ns) and self._add_fix(fix))
+            self._dropped["gnss"] += not self._add_fix(fix, now_ns)
         if self._lidar_odometry in self.reads:
             for motion in inbox.all(self._lidar_odometry, LidarOdometry):
                 self._lidar_odometry_ns = now_ns
@@ -146,13 +159,14 @@ class Localizer(Node):
                 self._map_alignment.pose_measurements.add(pose)
         for topic in self._uwb:
             for ranges in inbox.all(topic, UwbRanges):
-                self._dropped["uwb"] += not (self._is_timely(ranges.stamp_ns, now_ns) and self._add_ranges(ranges))
+                self._dropped["uwb"] += not (self.is_timely(ranges.stamp_ns, now_ns) and self._add_ranges(ranges))
         for kind in before:
             self._faults.set(
                 FAULTS[f"{kind}.invalid"], self._dropped[kind] > before[kind], f"{self._dropped[kind]} in total"
             )
 
-    def _is_timely(self, stamp_ns: int, now_ns: int) -> bool:
+    def is_timely(self, stamp_ns: int, now_ns: int) -> bool:
+        """Whether a stamp is near enough to the time of arrival."""
         return -self._config.max_sample_age_s * 1e9 <= stamp_ns - now_ns <= self._config.max_sample_lead_s * 1e9
 
     def _add_imu(self, sample: ImuSample) -> bool:
@@ -164,12 +178,14 @@ class Localizer(Node):
     def _add_ranges(self, ranges: UwbRanges) -> bool:
         return self._range_gate is not None and self._range_gate.add(ranges)
 
-    def _add_fix(self, fix: GnssFix) -> bool:
-        self._gnss_ns = fix.stamp_ns
+    def _add_fix(self, fix: GnssFix, now_ns: int) -> bool:
         config = self._config.map_alignment.gnss
-        reason = check(fix, config)
+        is_timely = self.is_timely(fix.stamp_ns, now_ns)
+        reason = check(fix, config) if is_timely else RejectionReason.STAMP
+        self._gnss_ns = fix.stamp_ns if is_timely else self._gnss_ns
         if reason is not RejectionReason.NONE:
-            return reason is not RejectionReason.INVALID
+            self._refused[reason] += 1
+            return reason not in (RejectionReason.INVALID, RejectionReason.STAMP)
         position = position_of(fix, self._datum, config, self._gnss_rate_hz)
         self._odometry.standstill.add(position)
         speed_mps = self._ground_speed_mps(fix, position.heading_rad)

@@ -1,7 +1,7 @@
 """Map alignment: the transform from `odom` to `map`, from the newest keyframe of the graph."""
 
 import math
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
 
 import numpy as np
@@ -61,9 +61,9 @@ class MapAlignment:
         self.is_initialized = False
         self.failures: list[str] = []
         self.dock_rejection, self._was_initialized = "", False
-        self.rejections = self._rejected_in_row = 0
+        self._rejected_in_row = 0
         self.is_refusing = False  # not the first fixes after an outage, which are awaited until they agree
-        self.late = 0
+        self.fixes: Counter[RejectionReason] = Counter()  # by what became of them
 
     @property
     def state(self) -> State | None:
@@ -89,11 +89,13 @@ class MapAlignment:
         if not self.is_initialized or self.is_rejecting:
             self.motion_start.window.add(position)
         if not self.is_initialized:
+            self.fixes[RejectionReason.BEFORE_START] += 1
             return
         if self._is_uwb_active(position.stamp_ns) and self._dock_prior.has_sky_obstruction(position.p_map_m):
+            self.fixes[RejectionReason.SHED] += 1
             return
         if self._taken_ns is not None and position.stamp_ns <= self._taken_ns:
-            self.late += 1
+            self.fixes[RejectionReason.LATE] += 1
             return
         self._taken_ns = position.stamp_ns
         self._queue.append(position)
@@ -104,6 +106,7 @@ class MapAlignment:
 
     def clear_measurements(self) -> None:
         """Drops queued measurements after a gap or clock jump."""
+        self.fixes[RejectionReason.LATE] += len(self._queue) + len(self._pending)
         self._queue.clear()
         self._pending.clear()
         self._taken_ns = None
@@ -241,7 +244,7 @@ class MapAlignment:
         while self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
             if self._odometry.history.at(fix.stamp_ns) is None:  # from before a gap
-                self.late += 1
+                self.fixes[RejectionReason.LATE] += 1
                 continue
             self._fill(fix.stamp_ns - period_ns // 2)
             self._pending.append(fix)
@@ -387,10 +390,10 @@ class MapAlignment:
                 self.keyframes.add_relative_pose(start[0], end[0], T, self.odometry_spans.covariance(span), course)
 
     def _count(self, position: Position, reason: RejectionReason) -> None:
+        self.fixes[reason] += 1
         if reason is RejectionReason.NONE:
             self._accept(position)
             return
-        self.rejections += 1
         self._rejected_in_row += 1
         self._rejected_ns = position.stamp_ns
         is_late = self._rejected_in_row > 2 * self._config.gnss.confirmation_fixes

@@ -85,7 +85,7 @@ class UltrasonicRange(Message):
 
 @dataclass(frozen=True)
 class ImuSample(Message):
-    """Specific force and angular rate in the IMU frame, (3,) each."""
+    """Specific force and angular rate in the IMU frame, (3,) each; NaN: not measured."""
 
     acceleration_mps2: Float64
     rate_radps: Float64

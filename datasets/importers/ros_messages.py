@@ -137,8 +137,10 @@ def scan_of_laser(ros: Any, receive_ns: int) -> LidarScan:
 
 
 def imu_sample(ros: Any, receive_ns: int) -> ImuSample:
-    """sensor_msgs/Imu, in the IMU's own axes."""
-    return ImuSample(stamp_of(ros, receive_ns), vector(ros.linear_acceleration), vector(ros.angular_velocity))
+    """sensor_msgs/Imu, in the IMU's own axes; NaN where its covariance begins with -1, which means not measured."""
+    force = NAN3 if ros.linear_acceleration_covariance[0] == -1.0 else vector(ros.linear_acceleration)
+    rate = NAN3 if ros.angular_velocity_covariance[0] == -1.0 else vector(ros.angular_velocity)
+    return ImuSample(stamp_of(ros, receive_ns), force, rate)
 
 
 def sigmas_of(covariance: Any) -> Float64:

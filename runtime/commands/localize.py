@@ -91,9 +91,11 @@ def _result(
     loop_m = None
     if run.origin_m is not None and len(trajectory):
         loop_m = round(float(np.linalg.norm(trajectory.T_map_base[-1, :2, 3] - run.origin_m)), 3)
+    clocks = run.clocks.notes()
     state, reason = PASSED, ""
     if share is None:
-        state, reason = NOT_SHOWN, f"no position: awaited {', '.join(run.awaited_s) or 'nothing'}"
+        awaited = ", ".join(run.awaited_s) or run.node.awaited
+        state, reason = NOT_SHOWN, f"no position: {'; '.join(clocks) or f'awaited {awaited}'}"
     elif share < least_share:
         state, reason = FAILED, f"placed {share:.1%} of the time after the alignment, {least_share:.0%} are required"
     elif errors is not None and errors.exceeded_share > 0.0:
@@ -107,10 +109,10 @@ def _result(
         "path_m": round(run.path_m, 1), "start_to_end_m": loop_m,
         "protection_level_m": _levels(trajectory.level_m), "accuracy_95_m": _levels(trajectory.accuracy_m),
         "sources": {s: trajectory.sources.count(s) for s in sorted(set(trajectory.sources))},
-        "fixes": dict(run.checks), "truth": None if truth is None else truth.source, "error": error_result(errors),
+        "fixes": run.fix_counts, "truth": None if truth is None else truth.source, "error": error_result(errors),
         "receiver_error": statistics(receiver_m) if len(receiver_m) else None,
         "faults": dict(run.faults.most_common()), "samples_dropped": run.node.dropped,
-        "notes": [*about.notes, *sources.notes],
+        "notes": [*about.notes, *sources.notes, *clocks, *run.notes],
     }  # fmt: skip
     return result, state
 

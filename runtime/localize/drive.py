@@ -18,8 +18,9 @@ from messages.errors import HeadlandError, LogError
 from messages.faults import Fault
 from messages.message import Envelope
 from messages.motion import MapPose, Odometry
-from messages.sensors import GnssFix, ImuSample
+from messages.sensors import GnssFix, ImuSample, WheelSample
 from runtime.executor import FAULT_TOPIC, Executor
+from runtime.localize.clocks import Clocks
 from runtime.localize.sources import Sources, datum_of
 from runtime.replay.recorded_localization import wheel_sample
 from runtime.replay.world import ReplayWorld, in_order
@@ -27,25 +28,28 @@ from validation.localization.trajectory import Trajectory, TrajectoryRows
 
 LIDAR = ("lidar_odometry/", "lidar_localization")
 MAX_STEP_NS = 1_000_000_000
+UNPROCESSED = "received at the end"
 
 
 @dataclass
 class Localized:
-    """Sink that gathers the run of a localizer; times by the stamps of the IMU."""
+    """Sink that gathers the run of a localizer; times by the stamps of the IMU samples that it took."""
 
     node: Localizer
     datum: Datum
     config: LocalizationConfig
+    clocks: Clocks
     _rows: TrajectoryRows = field(default_factory=TrajectoryRows)
+    _fix_count: int = 0
     _fix_ns: "array[int]" = field(default_factory=lambda: array("q"))
     _fix_m: "array[float]" = field(default_factory=lambda: array("d"))
-    checks: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
     awaited_s: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     first_ns: int | None = None
     last_ns: int = 0
     placed_first_ns: int | None = None
     placed_s: float = 0.0
+    unmeasured: Counter[str] = field(default_factory=Counter)
     odometries: int = 0
     path_m: float = 0.0
     origin_m: Float64 | None = None
@@ -55,8 +59,10 @@ class Localized:
     def __call__(self, envelope: Envelope) -> None:
         """Processes a message."""
         message = envelope.message
+        if isinstance(message, (ImuSample, GnssFix, WheelSample)):
+            self.clocks.add(envelope)
         if isinstance(message, ImuSample):
-            self._at(message.stamp_ns)
+            self._add_imu(message)
         elif isinstance(message, GnssFix):
             self._add_fix(message)
         elif isinstance(message, Odometry):
@@ -68,7 +74,16 @@ class Localized:
                 raise HeadlandError(message.text_en)
             self.faults[message.code] += message.is_active
 
-    def _at(self, stamp_ns: int) -> None:
+    def _add_imu(self, sample: ImuSample) -> None:
+        values = {"angular velocity": sample.rate_radps, "linear acceleration": sample.acceleration_mps2}
+        self.unmeasured.update(name for name, value in values.items() if np.isnan(value).all())
+        self.advance()
+
+    def advance(self) -> None:
+        """Counts the time up to the newest IMU sample that the localizer took."""
+        stamp_ns = self.node.imu_ns
+        if stamp_ns is None:
+            return
         if self.first_ns is None:
             self.first_ns = self.last_ns = stamp_ns
         step_s = min(max(stamp_ns - self.last_ns, 0), MAX_STEP_NS) * 1e-9
@@ -81,9 +96,8 @@ class Localized:
             self.placed_first_ns = self.placed_first_ns or stamp_ns
 
     def _add_fix(self, fix: GnssFix) -> None:
-        reason = check(fix, self.config.map_alignment.gnss)
-        self.checks["used" if reason is RejectionReason.NONE else reason.value] += 1
-        if reason is RejectionReason.NONE:
+        self._fix_count += 1
+        if check(fix, self.config.map_alignment.gnss) is RejectionReason.NONE:
             self._fix_ns.append(fix.stamp_ns)
             self._fix_m.extend(self.datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m)[:2])
 
@@ -109,6 +123,19 @@ class Localized:
     def fixes(self) -> tuple[Int64, Float64]:
         """Stamps (N,) and antenna positions (N, 2) in `map` of the usable fixes."""
         return np.array(self._fix_ns, np.int64), np.array(self._fix_m, np.float64).reshape(-1, 2)
+
+    @property
+    def fix_counts(self) -> dict[str, int]:
+        """Number of fixes by what became of them: used in the graph, or why not."""
+        found = {"used" if r is RejectionReason.NONE else r.value: n for r, n in self.node.fixes.items() if n}
+        left = self._fix_count - sum(found.values())
+        return found | ({UNPROCESSED: left} if left else {})
+
+    @property
+    def notes(self) -> list[str]:
+        """What some samples lack."""
+        samples, imu = self.clocks.count(IMU), self.clocks.names[IMU]
+        return [f"{imu}: {count} of {samples} samples without {name}" for name, count in self.unmeasured.items()]
 
     @property
     def span_s(self) -> float:
@@ -154,10 +181,18 @@ def localize(
             elif topic in node.reads:
                 yield receive_ns, topic, message
 
-    out = Localized(node, datum, config)
+    sensors_read = sources.recording.description.sensors
+    names = {s.topic: s.topic if s.source in ("", s.topic) else f"{s.topic} ({s.source})" for s in sensors_read}
+    named = {IMU: names[IMU], sources.gnss: names.get(sources.gnss, ""), WHEEL: names.get(sources.wheels, "")}
+    out = Localized(node, datum, config, Clocks(named, config))
     Executor(ReplayWorld(in_order(stream()), ()), [(node, latency_ns)], [out]).run(lambda: False)
-    if out.first_ns is None:
+    out.advance()
+    samples = out.clocks.count(IMU)
+    if not samples:
         raise LogError(f"{sources.recording.path}: no IMU sample was read from {IMU}")
+    for name, count in out.unmeasured.items():
+        if count == samples:
+            raise LogError(f"{sources.recording.path}: {names[IMU]} has no {name}, without which nothing is localized")
     return out, withheld
 
 

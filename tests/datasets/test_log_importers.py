@@ -1,6 +1,7 @@
 """Importers: formats recognized by content, translation of messages, errors with file and value."""
 
 import base64
+import copy
 import json
 from collections import Counter
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from configs.strict import CONFIGS, parse, read_yaml
 from datasets.importers.formats import open_recording
 from datasets.importers.recording import Description, Received, Recording, Sensor, numbered
+from datasets.importers.ros_messages import imu_sample
 from datasets.importers.ros_types import ros_types
 from datasets.importers.write_recording import write_recording
 from datasets.log import LogConfig, LogWriter
@@ -180,6 +182,18 @@ def test_ros_in_all_containers(tmp_path: Path, make: Any) -> None:
     assert Counter(topic for _, topic, _ in received) == {s.topic: 3 for s in about.sensors}
     assert [t for t, _, _ in received] == sorted(t for t, _, _ in received)
     check_ros_values({topic: m for t, topic, m in received[:4]})
+
+
+def test_imu_without_a_gyro() -> None:
+    """A covariance that begins with -1 says that nothing was measured; one of zeros is unknown."""
+    _, _, _, ros = next(m for m in ros_messages(ROS1, True) if "Imu" in m[1])
+    fields = ("linear_acceleration_covariance", "acceleration_mps2"), ("angular_velocity_covariance", "rate_radps")
+    for covariance, name in fields:
+        changed = copy.deepcopy(ros)
+        setattr(changed, covariance, np.array([-1.0, *np.zeros(8)]))
+        sample = imu_sample(changed, 0)
+        unknown = [of for _, of in fields if np.isnan(getattr(sample, of)).any()]
+        assert unknown == [name]
 
 
 def check_ros_values(first: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from localization.gnss_gate import RejectionReason
 from localization.graph.smoother import Smoother
 from localization.localizer import Localizer
 from messages.errors import ConfigError
@@ -323,4 +324,4 @@ def test_late_and_repeated_fixes_are_used_once(latency_s):
     gaps_m = [np.linalg.norm((p.T_map_base - truth.at(p.stamp_ns))[:2, 3]) for p in placed]
     assert max(gaps_m) < 0.05
     assert all(p.protection_level_m > gap_m for p, gap_m in zip(placed, gaps_m, strict=True))
-    assert result.localizer._map_alignment.late > 200
+    assert result.localizer.fixes[RejectionReason.LATE] > 200

@@ -1,8 +1,14 @@
 """`localize` over generated and recorded drives: files, exit codes, refusals."""
 
+import dataclasses
+import functools
+import itertools
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -11,7 +17,9 @@ import pytest
 from configs.strict import CONFIGS
 from datasets.importers.recording import SOURCE, Description, Sensor, describe
 from datasets.log import LogWriter
+from messages.errors import LogError
 from messages.message import Envelope
+from messages.sensors import GnssFix, ImuSample
 from runtime.commands.options import parse_arguments
 from runtime.stack import load_stack
 from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, Truth, drive, tractor
@@ -36,6 +44,24 @@ def write_log(path: Path, truth: Truth) -> None:
             log.write(Envelope(topic, number, arrival_ns, message))
 
 
+def changed(truth: Truth, kind: type, change: Callable[[Any], Any]) -> Truth:
+    """The drive with messages of a kind changed by `change`, which gets their numbers too."""
+    numbers = itertools.count()
+    messages = [(t, topic, change(next(numbers), m) if isinstance(m, kind) else m) for t, topic, m in truth.messages]
+    return dataclasses.replace(truth, messages=messages)
+
+
+@functools.cache
+def short_drive() -> Truth:
+    return drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.05)], sensor_errors=SensorErrors(seed=5))
+
+
+def localized_drive(tmp_path: Path, truth: Truth) -> tuple[int, dict]:
+    tmp_path.mkdir(exist_ok=True)
+    write_log(tmp_path / "drive.mcap", truth)
+    return localized(tmp_path / "a", tmp_path / "drive.mcap", "--vehicle", "tractor_e")
+
+
 def truth_csv(path: Path, truth: Truth, shift_m: float = 0.0) -> Path:
     antenna = np.array([*tractor().sensors.gnss["main"].mount.xyz_m, 1.0])
     rows = ["stamp_s,latitude_deg,longitude_deg,height_m"]
@@ -50,7 +76,7 @@ def truth_csv(path: Path, truth: Truth, shift_m: float = 0.0) -> Path:
 
 def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, vehicle = tmp_path / "drive.mcap", "tractor_e"
-    drive_truth = drive(14, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.05)], sensor_errors=SensorErrors(seed=5))
+    drive_truth = short_drive()
     write_log(log, drive_truth)
     truth = truth_csv(tmp_path / "truth.csv", drive_truth)
     code, result = localized(tmp_path / "a", log, "--vehicle", vehicle, "--truth", truth)
@@ -77,6 +103,65 @@ def test_generated_drive_with_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert code == 1
     assert result["error"]["median_m"] == pytest.approx(5.0, abs=0.2)
     assert "above the protection level" in result["reason"]
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "note"),
+    [
+        (1.05, "stamps 1.00 s ahead of the time of arrival (at most 0.05 s are allowed)"),
+        (18.05, "GPS time, which is ahead of UTC by the leap seconds (18 s since 2017)?"),
+        (18.05 - 315_964_800, "seconds since 1980, the epoch of GPS?"),
+        (-2 * 3600.0, "time zone (2 h)?"),
+        (-START_NS / 1e9, "seconds since power-on?"),
+    ],
+)
+def test_fixes_of_another_clock_are_not_used(tmp_path: Path, ahead_s: float, note: str) -> None:
+    truth = changed(short_drive(), GnssFix, lambda _, m: replace(m, stamp_ns=m.stamp_ns + round(ahead_s * 1e9)))
+    code, result = localized_drive(tmp_path, truth)
+    fixes = sum(isinstance(m, GnssFix) for _, _, m in truth.messages)
+    assert code == 3
+    assert result["reason"].startswith("no position: gnss/main: stamps ")
+    assert note in result["reason"]
+    assert result["fixes"] == {"stamp too far from the time of arrival": fixes}
+    assert sum(note in n for n in result["notes"]) == 1
+
+
+def test_doubled_fixes_are_used_once(tmp_path: Path) -> None:
+    whole = short_drive()
+    messages = [one for m in whole.messages for one in [m] * (1 + isinstance(m[2], GnssFix))]
+    code, result = localized_drive(tmp_path, dataclasses.replace(whole, messages=messages))
+    fixes = sum(isinstance(m, GnssFix) for _, _, m in messages)
+    assert code == 0
+    assert result["notes"] == []
+    assert sum(result["fixes"].values()) == fixes
+    assert result["fixes"]["used"] < 0.5 * fixes
+    assert result["fixes"]["not newer than the last one, or from before a gap"] >= result["fixes"]["used"] - 1
+
+
+def test_span_is_that_of_the_samples_that_were_taken(tmp_path: Path) -> None:
+    ahead_ns = 10 * 365 * 86_400 * 10**9
+    truth = changed(
+        short_drive(), ImuSample, lambda k, m: replace(m, stamp_ns=m.stamp_ns + ahead_ns) if k == 500 else m
+    )
+    code, result = localized_drive(tmp_path, truth)
+    assert code == 0
+    assert result["span_s"] == pytest.approx(14.0, abs=0.2)
+    assert result["samples_dropped"] == 1
+    assert result["placed_after_alignment"] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("field", "name"), [("rate_radps", "angular velocity"), ("acceleration_mps2", "linear acceleration")]
+)
+def test_imu_that_does_not_measure_is_named(tmp_path: Path, field: str, name: str) -> None:
+    unknown = {field: np.full(3, np.nan)}
+    with pytest.raises(LogError, match=rf"drive.mcap: imu has no {name}, without which nothing is localized"):
+        localized_drive(tmp_path, changed(short_drive(), ImuSample, lambda _, m: replace(m, **unknown)))
+    some = changed(short_drive(), ImuSample, lambda k, m: replace(m, **unknown) if k % 100 == 50 else m)
+    code, result = localized_drive(tmp_path / "some", some)
+    samples = sum(isinstance(m, ImuSample) for _, _, m in some.messages)
+    assert code == 0
+    assert result["notes"] == [f"imu: {(samples + 49) // 100} of {samples} samples without {name}"]
 
 
 def test_recording_without_fixes_is_not_shown(tmp_path: Path) -> None:
@@ -109,7 +194,6 @@ def test_fixes_alone_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_bad_truth_names_what_is_wrong(tmp_path: Path, text: str, reason: str) -> None:
-    from messages.errors import LogError
     from validation.localization.truth import read_truth
 
     path = tmp_path / "truth.csv"
@@ -137,7 +221,8 @@ def test_kitti_with_every_tenth_fix(tmp_path: Path) -> None:
     gnss.write_text("\n".join([head, *(f for f in fixes if float(f.split(",")[0]) <= end_s)]) + "\n")
     _, result = localized(tmp_path / "a", imu, "--fixes-every", 10)
     assert result["truth"] == "fixes that were withheld"
-    assert result["fixes"] == {"used": 20}
+    assert sum(result["fixes"].values()) == 20
+    assert result["fixes"]["used"] > 10
     assert result["error"]["n"] > 120
     assert result["error"]["median_m"] < 3.5
     assert result["placed_after_alignment"] > 0.95
