@@ -55,7 +55,8 @@ class Departure:
         if len(blocking):
             first_ns, last_ns = self._span_ns
             is_new = not self.is_kept and now_ns - last_ns > self._seen_ns
-            self._note_beside(hits_odom_m[distance_m > self._config.ahead_m], now_ns)
+            beside = hits_odom_m[distance_m > self._config.ahead_m]
+            self._note_beside(beside[is_in_box(beside, blocking, 2.0 * self._config.follow_m)], now_ns)
             self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
             self._is_ahead = True
             self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
@@ -88,10 +89,15 @@ class Departure:
         return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
 
 
+def is_in_box(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
+    """Whether each point (N, 2) lies within the box about others (M, 2; at least one) and a distance, (N,) bool."""
+    low, high = others_m.min(axis=0) - within_m, others_m.max(axis=0) + within_m
+    return np.asarray(((points_m >= low) & (points_m <= high)).all(axis=1))
+
+
 def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
     """Whether each point (N, 2) lies within a distance of one of the others (M, 2; at least one), (N,) bool."""
-    low, high = others_m.min(axis=0) - within_m, others_m.max(axis=0) + within_m
-    near = ((points_m >= low) & (points_m <= high)).all(axis=1)  # a hedge has thousands of returns
+    near = is_in_box(points_m, others_m, within_m)  # a hedge has thousands of returns
     apart = points_m[near][:, None] - others_m[None]
     near[near] = (np.einsum("nmk,nmk->nm", apart, apart) <= within_m**2).any(axis=1)
     return np.asarray(near)
