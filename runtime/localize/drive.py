@@ -12,7 +12,7 @@ from datasets.importers.recording import Received
 from geometry.arrays import Float64, Int64
 from geometry.geodesy import Datum
 from localization.config import LocalizationConfig
-from localization.gnss_gate import RejectionReason, check
+from localization.gnss_gate import RejectionReason, check, position_of
 from localization.localizer import IMU, WHEEL, Localizer
 from messages.errors import HeadlandError, LogError
 from messages.faults import Fault
@@ -22,6 +22,7 @@ from messages.sensors import GnssFix, ImuSample, WheelSample
 from runtime.executor import FAULT_TOPIC, Executor
 from runtime.localize.clocks import Clocks
 from runtime.localize.sources import Sources, datum_of
+from runtime.localize.wheel_scale import WheelScale
 from runtime.replay.recorded_localization import wheel_sample
 from runtime.replay.world import ReplayWorld, in_order
 from validation.localization.trajectory import Trajectory, TrajectoryRows
@@ -39,6 +40,7 @@ class Localized:
     datum: Datum
     config: LocalizationConfig
     clocks: Clocks
+    wheels: WheelScale | None
     _rows: TrajectoryRows = field(default_factory=TrajectoryRows)
     _fix_count: int = 0
     _fix_ns: "array[int]" = field(default_factory=lambda: array("q"))
@@ -61,6 +63,8 @@ class Localized:
         message = envelope.message
         if isinstance(message, (ImuSample, GnssFix, WheelSample)):
             self.clocks.add(envelope)
+            if self.wheels is not None and self.node.is_timely(message.stamp_ns, envelope.receive_ns):
+                self._compare(self.wheels, message)
         if isinstance(message, ImuSample):
             self._add_imu(message)
         elif isinstance(message, GnssFix):
@@ -73,6 +77,15 @@ class Localized:
             if envelope.topic == FAULT_TOPIC:
                 raise HeadlandError(message.text_en)
             self.faults[message.code] += message.is_active
+
+    def _compare(self, wheels: WheelScale, message: ImuSample | GnssFix | WheelSample) -> None:
+        gnss = self.config.map_alignment.gnss
+        if isinstance(message, WheelSample):
+            wheels.add_speed(message.speed_mps)
+        elif isinstance(message, ImuSample):
+            wheels.add_rates(message.stamp_ns, message.rate_radps)
+        elif check(message, gnss) is RejectionReason.NONE:
+            wheels.add_fix(position_of(message, self.datum, gnss, 1.0))
 
     def _add_imu(self, sample: ImuSample) -> None:
         values = {"angular velocity": sample.rate_radps, "linear acceleration": sample.acceleration_mps2}
@@ -184,7 +197,9 @@ def localize(
     sensors_read = sources.recording.description.sensors
     names = {s.topic: s.topic if s.source in ("", s.topic) else f"{s.topic} ({s.source})" for s in sensors_read}
     named = {IMU: names[IMU], sources.gnss: names.get(sources.gnss, ""), WHEEL: names.get(sources.wheels, "")}
-    out = Localized(node, datum, config, Clocks(named, config))
+    imu, arm_m = vehicle.sensors.imu, float(np.hypot(*antenna.mount.xyz_m[:2]))
+    scale = WheelScale(imu.mount.T_base_sensor[2, :3], arm_m) if imu is not None and sources.wheels else None
+    out = Localized(node, datum, config, Clocks(named, config), scale)
     Executor(ReplayWorld(in_order(stream()), ()), [(node, latency_ns)], [out]).run(lambda: False)
     out.advance()
     samples = out.clocks.count(IMU)

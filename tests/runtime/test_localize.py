@@ -5,6 +5,7 @@ import functools
 import itertools
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +18,12 @@ import pytest
 from configs.strict import CONFIGS
 from datasets.importers.recording import SOURCE, Description, Sensor, describe
 from datasets.log import LogWriter
+from localization.gnss_gate import position_of
 from messages.errors import LogError
 from messages.message import Envelope
-from messages.sensors import GnssFix, ImuSample
+from messages.sensors import GnssFix, ImuSample, WheelSample
 from runtime.commands.options import parse_arguments
+from runtime.localize.wheel_scale import WheelScale
 from runtime.stack import load_stack
 from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, Truth, drive, tractor
 from tests.recordings import DATA, SAMPLES, needs
@@ -162,6 +165,59 @@ def test_imu_that_does_not_measure_is_named(tmp_path: Path, field: str, name: st
     samples = sum(isinstance(m, ImuSample) for _, _, m in some.messages)
     assert code == 0
     assert result["notes"] == [f"imu: {(samples + 49) // 100} of {samples} samples without {name}"]
+
+
+@functools.cache
+def long_drive() -> Truth:
+    """Straights and half turns, forwards and back, with slip of 4 % and more."""
+    legs = [(5.0, 0.0, 0.0), (25.0, 2.8, 0.0), (8.0, 2.0, 0.17), (25.0, 2.8, 0.0), (3.0, 0.0, 0.0), (12.0, -1.5, 0.1)]
+    return drive(78, legs=legs)
+
+
+def scale_of(truth: Truth, factor: float, has_velocity: bool) -> WheelScale:
+    imu, gnss = tractor().sensors.imu, load_stack().localization.map_alignment.gnss
+    scale = WheelScale(imu.mount.T_base_sensor[2, :3], 0.1)
+    for _, _, m in truth.messages:
+        if isinstance(m, WheelSample):
+            scale.add_speed(factor * m.speed_mps)
+        elif isinstance(m, ImuSample):
+            scale.add_rates(m.stamp_ns, m.rate_radps)
+        elif isinstance(m, GnssFix):
+            fix = m if has_velocity else replace(m, velocity_enu_mps=np.full(3, np.nan))
+            scale.add_fix(position_of(fix, DATUM, gnss, 10.0))
+    return scale
+
+
+@pytest.mark.parametrize("has_velocity", [True, False])
+@pytest.mark.parametrize(
+    ("factor", "finding"),
+    [
+        (1.0, ""),
+        (1.15, ""),
+        (0.87, ""),
+        (3.6, "km/h?"),
+        (2.237, "mph?"),
+        (1.4, "radius, gear or units?"),
+        (0.6, "radius, gear or units?"),
+        (0.0, "the wheels say 0.00 times"),
+    ],
+)
+def test_wheels_in_other_units_are_found(factor: float, finding: str, has_velocity: bool) -> None:
+    found = scale_of(long_drive(), factor, has_velocity)
+    assert len(found.ratios) >= 5
+    assert (finding in found.finding()) if finding else found.finding() == ""
+
+
+def test_few_metres_tell_nothing_of_the_wheels() -> None:
+    assert scale_of(drive(20, legs=[(5.0, 0.0, 0.0), (100.0, 2.0, 0.0)]), 3.6, True).finding() == ""
+
+
+def test_wheels_in_kilometres_per_hour_fail(tmp_path: Path) -> None:
+    short = drive(17, legs=[(4.0, 0.0, 0.0), (100.0, 5.0, 0.0)])
+    fast = changed(short, WheelSample, lambda _, m: replace(m, speed_mps=3.6 * m.speed_mps))
+    code, result = localized_drive(tmp_path, fast)
+    assert code in (1, 3)
+    assert re.search(r"the wheels say 3\.\d\d times the speed of the fixes: km/h\?", result["reason"])
 
 
 def test_recording_without_fixes_is_not_shown(tmp_path: Path) -> None:
