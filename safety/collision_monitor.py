@@ -142,9 +142,13 @@ class CollisionMonitor:
 
     def is_departure_unresolved(self, control_command: ControlCommand | None) -> bool:
         """Whether somebody may be where the machine or its implement moves to, also by unfolding as commanded."""
+        return self.departure.is_unresolved or self.is_somebody_near(control_command)
+
+    def is_somebody_near(self, control_command: ControlCommand | None) -> bool:
+        """The same without what is seen in the path, to which the speed is limited."""
         unfolds = control_command is not None and not control_command.is_implement_folded
         is_in_reach = unfolds and self.bystanders.is_in_reach
-        return self.departure.is_unresolved or self.bystanders.is_near or is_in_reach
+        return self.departure.is_lost or self.bystanders.is_near or is_in_reach
 
     def confirm_clear(self) -> None:
         """An operator has confirmed that nobody is near the machine: what is held without being seen is dropped."""

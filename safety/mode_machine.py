@@ -111,8 +111,10 @@ class ModeMachine:
         implement folds. Before a person or animal that stands in the path, it waits until it may resume, instead of
         creeping up.
         """
-        is_to_leave = self.mode is Mode.START_WARNING or (self.mode is Mode.AUTOMATIC and not situation.is_moving)
-        if decision.is_obstacle_inside or (is_to_leave and situation.is_departure_unresolved):
+        is_at_rest = self.mode is Mode.AUTOMATIC and not situation.is_moving
+        if decision.is_obstacle_inside or (is_at_rest and situation.is_somebody_near):
+            return True
+        if self.mode is Mode.START_WARNING and situation.is_departure_unresolved:
             return True
         is_body_in_path = situation.standing_body.gap_m == 0.0
         least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps

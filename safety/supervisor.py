@@ -158,6 +158,7 @@ class Supervisor(Node):
             ),
             sensor_failures=self._inputs.sensor_failures(now_ns, inbox, inputs, monitor, direction),
             is_departure_unresolved=monitor.is_departure_unresolved(inputs.control_command),
+            is_somebody_near=monitor.is_somebody_near(inputs.control_command),
             lidar_failures=monitor.sources.lidar_failures(direction),
             vegetation_m=monitor.sources.vegetation_m,
             consent=self._consent,

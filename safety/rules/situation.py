@@ -26,9 +26,9 @@ class Situation:
     `lost` the failed sensors of other kinds, `proven_m` the detection range. `gap` is None before the first scan.
     `geofence_m` is the distance to drive inside the geofence (None: position unknown; below 0: outside), `survey_m`
     that clear of surveyed walls, `clock_step_s` the jump of the clock since the last step, `has_pose_jumped`: the pose
-    in odom did. `is_departure_unresolved`:
-    what blocked the path was lost from view in it, or a bystander has not been seen leaving. `lidar_failures`: lidars
-    that measure wrongly. `vegetation_m`: height of the plants around the machine.
+    in odom did. `is_departure_unresolved`: what blocked the path was lost from view in it, or a bystander has not been
+    seen leaving; `is_somebody_near`: the same without what is seen in the path. `lidar_failures`: lidars that measure
+    wrongly. `vegetation_m`: height of the plants around the machine.
     """
 
     now_ns: int
@@ -54,6 +54,7 @@ class Situation:
     brake_test: Phase
     sensor_failures: tuple[SensorFailure, ...]
     is_departure_unresolved: bool
+    is_somebody_near: bool
     lidar_failures: tuple[SensorFailure, ...]
     vegetation_m: float
     consent: Consent | None

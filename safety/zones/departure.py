@@ -28,11 +28,17 @@ class Departure:
         self._last_seen_odom_m: Float64 = NOWHERE
         self._beside: deque[tuple[int, Float64]] = deque()  # what was beside the area while it was blocked
         self._span_ns, self._is_near, self._is_ahead = (0, 0), False, False
+        self._is_out_of_sight = False
 
     @property
     def is_unresolved(self) -> bool:
         """Whether what blocked the swept area, seen for long enough, has not been seen leaving it."""
         return self.is_kept and self._is_ahead
+
+    @property
+    def is_lost(self) -> bool:
+        """The same, and it is not seen in the area now."""
+        return self.is_unresolved and self._is_out_of_sight
 
     @property
     def is_kept(self) -> bool:
@@ -58,7 +64,7 @@ class Departure:
             beside = hits_odom_m[distance_m > self._config.ahead_m]
             self._note_beside(beside[is_in_box(beside, blocking, 2.0 * self._config.follow_m)], now_ns)
             self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
-            self._is_ahead = True
+            self._is_ahead, self._is_out_of_sight = True, False
             self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
         elif self.is_kept:
             followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
@@ -69,6 +75,7 @@ class Departure:
                 self._last_seen_odom_m = followed
             gap_m = self._distance_m(self._last_seen_odom_m, area, pose_odom, self._config.away_m)
             self._is_ahead = bool((gap_m <= self._config.ahead_m).any())
+            self._is_out_of_sight = now_ns - self._span_ns[1] >= self._config.seen_s * 1e9
             is_far = np.hypot(*(self._last_seen_odom_m - pose_odom[:2]).T).min() > self._config.kept_m
             if is_far or (len(followed) and not self._is_ahead):
                 self._last_seen_odom_m = NOWHERE

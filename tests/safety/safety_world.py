@@ -455,7 +455,7 @@ def situation_of(config: SupervisorConfig, **changes: Any) -> Situation:
         standing_body=NO_STANDING_BODY, detection_range_m=40.0, blind=(),
         geofence_distance_m=math.inf, is_foldable=False, clock_step_s=0.0, has_pose_jumped=False,
         brake_test=Phase.PASSED, sensor_failures=(),
-        is_departure_unresolved=False, lidar_failures=(), vegetation_m=0.0, consent=None,
+        is_departure_unresolved=False, is_somebody_near=False, lidar_failures=(), vegetation_m=0.0, consent=None,
         is_docking=False, is_under_roof=False, wall_distance_m=math.inf,
     )  # fmt: skip
     return replace(good, **changes)

@@ -162,10 +162,13 @@ def test_who_was_lost_stays_there_while_another_path_leads_elsewhere(
 ) -> None:
     back = sweep_field(None, None, 0.0, -1, 8.0, 4.0, footprint_of(vehicle, implement), config.field).main
     departure.see(hits((6.0, 0.0)), area, scans=8)
+    assert (departure.is_unresolved, departure.is_lost) == (True, False)
     departure.see(hits(), back)
     assert (departure.is_unresolved, departure.is_kept) == (False, True)
     departure.see(hits(), area)
-    assert departure.is_unresolved
+    assert (departure.is_unresolved, departure.is_lost) == (True, False)  # one scan may miss it
+    departure.see(hits(), area)
+    assert departure.is_lost
     for away_m, is_kept in ((-0.1, True), (0.1, False)):
         departure.see(hits(), back, np.array([6.0 - config.departure.kept_m - away_m, 0.0, 0.0]))
         assert departure.is_kept == is_kept, away_m

@@ -94,7 +94,8 @@ def parts(monkeypatch: pytest.MonkeyPatch, config: SupervisorConfig) -> Any:
             config=config.docked, update=Spy(None), clearance=Spy(GAP), critical_object=Spy(THREAT),
             standing_bodies=SimpleNamespace(slowest=NO_STANDING_BODY), geofence_distance_m=Spy(8.0),
             wall_distance_m=Spy(6.0), is_docking=True, is_under_roof=False,
-            is_departure_unresolved=lambda command: command is not None, confirm_clear=Spy(None),
+            is_departure_unresolved=lambda command: command is not None, is_somebody_near=lambda command: False,
+            confirm_clear=Spy(None),
             bystanders=SimpleNamespace(bars_pto=Spy(True)),
             swept_field=SimpleNamespace(is_planned=True),
             pose_history=SimpleNamespace(driven_m=12.0, has_jumped=False),
@@ -210,7 +211,7 @@ def test_situation(among: Any, parts: Any, inbox: Any, machine: Vehicle, config:
         detection_range_m=30.0, blind=("lidar/side",),
         geofence_distance_m=8.0,
         is_foldable=True, clock_step_s=0.0, has_pose_jumped=False, brake_test="phase", sensor_failures=("lost",),
-        is_departure_unresolved=True, lidar_failures=("wrong",), vegetation_m=0.3,
+        is_departure_unresolved=True, is_somebody_near=False, lidar_failures=("wrong",), vegetation_m=0.3,
         consent=CONSENT, is_docking=True, is_under_roof=False, wall_distance_m=6.0,
     )  # fmt: skip
     assert parts.timed_out_topics.asked == (["ages"],)
