@@ -1,6 +1,6 @@
 """Path messages from pieces: with headings, curvature, speeds and sections."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import Any
@@ -33,14 +33,21 @@ class RawPiece:
     is_working: bool
 
 
-def paths_of(pieces: Sequence[RoutePiece], rig: Rig, first_id: int) -> tuple[Path, ...]:
-    """Paths of a route, one for each run of pieces in the same direction and width, from standstill to standstill."""
+def paths_of(
+    pieces: Sequence[RoutePiece], rig: Rig, first_id: int, is_free: Callable[[Float64, Float64, bool], bool]
+) -> tuple[Path, ...]:
+    """Paths of a route, one for each run of pieces in the same direction and width, from standstill to standstill.
+
+    `is_free` tests points (N, 2) and headings (N,), in transport width or not.
+    """
     groups = [list(group) for _, group in groupby(pieces, key=lambda p: (p.leg.direction, p.is_transport))]
-    found = [_path(group, rig, first_id + k) for k, group in enumerate(groups)]
+    found = [_path(group, rig, first_id + k, is_free) for k, group in enumerate(groups)]
     return (*found[:-1], replace(found[-1], is_last=True))
 
 
-def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
+def _path(
+    pieces: Sequence[RoutePiece], rig: Rig, path_id: int, is_free: Callable[[Float64, Float64, bool], bool]
+) -> Path:
     direction = pieces[0].leg.direction
     points = np.vstack([p.leg.p_map_m for p in pieces])
     heading = np.unwrap(np.concatenate([p.leg.heading_rad for p in pieces]))
@@ -53,7 +60,9 @@ def _path(pieces: Sequence[RoutePiece], rig: Rig, path_id: int) -> Path:
     p = np.column_stack([np.interp(s, raw_s, points[:, k]) for k in range(2)])
     heading, curvature = np.interp(s, raw_s, heading), np.interp(s, raw_s, curvature)
     owner = owner[np.clip(np.searchsorted(raw_s, s - 1e-9), 0, len(owner) - 1)]
-    p, heading, curvature = _eased(p, heading, curvature, direction)
+    eased = _eased(p, heading, curvature, direction)
+    if eased[0] is not p and is_free(*eased[:2], pieces[0].is_transport):
+        p, heading, curvature = eased
     top_mps = np.inf if direction > 0 else kmh(rig.config.reverse_kmh)
     section_speed = np.array([min(_section_speed(piece.section_type, rig), top_mps) for piece in pieces])[owner]
     s = arc_length(p)

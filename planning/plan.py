@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from configs.mission import Line, Mission, Work
 from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, TrailedImplement, Vehicle
-from geometry.arrays import runs_of
+from geometry.arrays import Float64, runs_of
 from geometry.footprint import corners_of, worked
 from geometry.polygon import grow, open_by, parts, place_of, shrink
 from geometry.pose2 import Pose2
@@ -29,8 +29,10 @@ from planning.line import line_paths
 from planning.path import paths_of
 from planning.rig import Rig, rig_of
 from planning.turns.connector import PathConnector
+from planning.turns.free_space import FreeSpace
 
 PROOF_SLACK_M = 0.005  # margin added in planning over the one verified
+WORK_SLACK_M = 0.05  # by which a working line may reach over the edge of the field less its margin
 MIN_UNCOVERED_M2 = 0.25
 Report = Callable[[str], object]
 EDGE_MARGIN, TIGHT_CORNER = "edge margin", "corner too tight to turn in"  # reasons of uncovered areas
@@ -196,7 +198,7 @@ def plan_field(
     passes = [headland_passes_of(area, rig, count, work.overlap_m) for area in areas]
     report("swaths")
     space, transport = (r.space(drivable.allowed) for r in (rig, folded))
-    on_lines = rig.space(drivable.allowed, rig.askew_m)
+    on_lines = rig.space(drivable.inner, rig.askew_m)
     regions = list[Region]()
     for region, around in zip(areas, passes, strict=True):
         first = sum(len(r.swaths) for r in regions)
@@ -214,8 +216,11 @@ def plan_field(
         x, y = site.start.x_m, site.start.y_m
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
     report("check")
-    paths, refills = _paths(found, rig, "" if work.refill is None else work.refill.reason)
-    check_inside(paths, rig, folded, drivable_area_of(site, work.boundary_margin_m, work.margins))
+    surveyed = drivable_area_of(site, work.boundary_margin_m, work.margins)
+    on_paths = [r.space(surveyed.allowed) for r in (rig, folded)]
+    paths, refills = _paths(found, rig, on_paths, "" if work.refill is None else work.refill.reason)
+    check_inside(paths, rig, folded, surveyed)
+    paths = _working_inside(paths, rig, surveyed.inner)
     area = worked_area(paths, rig).intersection(drivable.whole)
     bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
     uncovered = _uncovered(drivable, areas, area, rig, bends)
@@ -226,18 +231,36 @@ def plan_field(
     )  # fmt: skip
 
 
-def _paths(found: Route, rig: Rig, reason: str) -> tuple[tuple[Path, ...], tuple[RefillStop, ...]]:
-    """Paths of a route, of which one ends at each refill place."""
+def _paths(
+    found: Route, rig: Rig, spaces: Sequence[FreeSpace], reason: str
+) -> tuple[tuple[Path, ...], tuple[RefillStop, ...]]:
+    """Paths of a route in the free spaces of the rig and of the folded one, of which one ends at each refill place."""
+
+    def is_free(points_m: Float64, heading_rad: Float64, is_transport: bool) -> bool:
+        return rig.trailer is not None or not spaces[is_transport].touching(points_m, heading_rad).any()
+
     paths, stops = list[Path](), list[RefillStop]()
     ends = [*(cut.pieces for cut in found.refills), len(found.pieces)]
     for first, end in pairwise([0, *ends]):
         before = len(paths)
-        paths += [replace(p, is_last=False) for p in paths_of(found.pieces[first:end], rig, before + 1)]
+        paths += [replace(p, is_last=False) for p in paths_of(found.pieces[first:end], rig, before + 1, is_free)]
         if len(stops) < len(found.refills):
             cut = found.refills[len(stops)]
             driven_m = _length_m(paths[before:])
             stops.append(RefillStop(len(stops) + 1, reason, cut.place, cut.worked_m2, driven_m, len(paths)))
     return (*paths[:-1], replace(paths[-1], is_last=True)), tuple(stops)
+
+
+def _working_inside(paths: Sequence[Path], rig: Rig, inner: BaseGeometry) -> tuple[Path, ...]:
+    """The paths without work where the working line reaches out of the field, as on the lane in its gate."""
+    field, hitch_rad, found = grow(inner, WORK_SLACK_M), 0.0, list[Path]()
+    shapely.prepare(field)
+    for path in paths:
+        p, heading = rig.carriers(path.p_map_m, path.heading_rad, hitch_rad)
+        hitch_rad = float(rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)[-1])
+        left, right = (shapely.contains_xy(field, *edge.T) for edge in rig.working_edges(p, heading))
+        found.append(replace(path, is_working=path.is_working * (left & right)))
+    return tuple(found)
 
 
 def check_within(plan: Plan, site: Site, work: Work) -> None:

@@ -17,6 +17,7 @@ from messages.errors import FieldError
 
 GATE_DEPTH_M = 1.2  # maximum distance of a fence outside the field
 LEAST_STRETCH_M = 0.1
+FENCE_M = 0.001  # half the thickness of a fence, less than the slack of planning
 POST_M = 0.1  # half the thickness of a gate post
 PASSAGE_SLACK_M = 0.1  # of half the width, where a passage is narrower than the rig
 PASSAGE_WIDTHS = 1.2  # of the rig: through a narrower passage it drives folded, or not at all
@@ -61,7 +62,7 @@ def drivable_area_of(
     free = whole.difference(kept_off) if wide else whole
     connector = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
     posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
-    allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, 0.01))).difference(posts)
+    allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, FENCE_M))).difference(posts)
     inner = shrink(free, margin_m).difference(posts)
     return DrivableArea(site, margin_m, field, whole, free, polygon_of(inner), polygon_of(allowed), fence)
 

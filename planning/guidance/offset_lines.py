@@ -158,6 +158,8 @@ def _along(base: LineString, shape: BaseGeometry) -> list[Float64]:
 
 def _moved(shape: BaseGeometry, to_left_m: float) -> BaseGeometry:
     """Lines moved to the left, each without loops."""
+    if abs(to_left_m) < ERROR_M:  # GEOS fails for some
+        return shape
     segments = min(MAX_ARC_SEGMENTS, max(8, math.ceil(abs(to_left_m) * 0.5 * math.pi / ARC_STEP_M)))
     moved = [shapely.offset_curve(line, to_left_m, quad_segs=segments) for line in shapely.get_parts(shape)]
     lines = [line.simplify(ERROR_M) for one in moved for line in shapely.get_parts(one) if line.length > STEP_M]
