@@ -106,9 +106,7 @@ class MapAlignment:
 
     def clear_measurements(self) -> None:
         """Drops queued measurements after a gap or clock jump."""
-        self.fixes[RejectionReason.LATE] += len(self._queue) + len(self._pending)
-        self._queue.clear()
-        self._pending.clear()
+        self._drop_queued()
         self._taken_ns = None
         self.odometry_spans.clear()
         self.pose_measurements.clear()
@@ -117,6 +115,11 @@ class MapAlignment:
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
         self._end_rejection()
+
+    def _drop_queued(self) -> None:
+        self.fixes[RejectionReason.LATE] += len(self._queue) + len(self._pending)
+        self._queue.clear()
+        self._pending.clear()
 
     def start(self) -> bool:
         """Starts at standstill: at the dock when ranges confirm it, else from fixes with heading; else in motion.
@@ -137,6 +140,7 @@ class MapAlignment:
         if self.is_initialized:
             self.motion_start.clear()
             self._taken_ns = self._newest_ns()
+            self._drop_queued()  # before the position was lost
         self._was_initialized |= self.is_initialized
         return self.is_initialized
 
@@ -241,14 +245,14 @@ class MapAlignment:
         if self.is_rejecting:
             self.motion_start.window.advance(self._odometry.track, self._wheels)
         period_ns = round(cfg.period_s * 1e9)
-        while self._queue and self._queue[0].stamp_ns <= end_ns:
+        while self.is_initialized and self._queue and self._queue[0].stamp_ns <= end_ns:
             fix = self._queue.popleft()
             if self._odometry.history.at(fix.stamp_ns) is None:  # from before a gap
                 self.fixes[RejectionReason.LATE] += 1
                 continue
             self._fill(fix.stamp_ns - period_ns // 2)
             self._pending.append(fix)
-            if fix.stamp_ns - self._newest_ns() >= 0.9 * period_ns:
+            if self.is_initialized and fix.stamp_ns - self._newest_ns() >= 0.9 * period_ns:
                 self._add_keyframe(fix.stamp_ns)
         self._fill(end_ns - round(cfg.wait_s * 1e9))
 

@@ -282,6 +282,28 @@ def test_graph_failure_rebuilds(monkeypatch):
     assert jump(result) < 2e-3
 
 
+def test_position_lost_by_graph_failures_among_queued_fixes(monkeypatch):
+    """Fixes that arrive five at a time: the second failure loses the position while others wait."""
+    update, calls = Smoother._update, []
+
+    def failing(self, *arguments):
+        calls.append(1)
+        if len(calls) in (30, 31, 32):
+            raise RuntimeError("Indeterminate linear system")
+        update(self, *arguments)
+
+    monkeypatch.setattr(Smoother, "_update", failing)
+    burst_ns = 500_000_000
+    late = [
+        (-(-t // burst_ns) * burst_ns if topic.startswith("gnss") else t, topic, m)
+        for t, topic, m in short_truth().messages
+    ]
+    result = run(sorted(late, key=lambda m: m[0]))
+    fixes = result.localizer.fixes
+    assert ("localization.lost", True) in codes(result)
+    assert sum(fixes.values()) + 5 >= sum(topic.startswith("gnss") for _, topic, _ in late)
+
+
 def test_realignment_at_standstill():
     away = 5.0 / 6.37e6
     truth = drive(71, legs=[(80.0, 0.0, 0.0)])
