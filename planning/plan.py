@@ -220,7 +220,7 @@ def plan_field(
     on_paths = [r.space(surveyed.allowed) for r in (rig, folded)]
     paths, refills = _paths(found, rig, on_paths, "" if work.refill is None else work.refill.reason)
     check_inside(paths, rig, folded, surveyed)
-    paths = _working_inside(paths, rig, surveyed.inner)
+    paths = working_inside(paths, rig, surveyed.inner)
     area = worked_area(paths, rig).intersection(drivable.whole)
     bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
     uncovered = _uncovered(drivable, areas, area, rig, bends)
@@ -251,7 +251,7 @@ def _paths(
     return (*paths[:-1], replace(paths[-1], is_last=True)), tuple(stops)
 
 
-def _working_inside(paths: Sequence[Path], rig: Rig, inner: BaseGeometry) -> tuple[Path, ...]:
+def working_inside(paths: Sequence[Path], rig: Rig, inner: BaseGeometry) -> tuple[Path, ...]:
     """The paths without work where the working line reaches out of the field, as on the lane in its gate."""
     field, hitch_rad, found = grow(inner, WORK_SLACK_M), 0.0, list[Path]()
     shapely.prepare(field)

@@ -24,7 +24,7 @@ from planning.drawing import draw_plan
 from planning.export.geojson import plan_to_geojson
 from planning.field.field import FieldOutline, with_no_go
 from planning.field.site_generation import site_of, site_within
-from planning.plan import NARROW_PART, NARROW_PASSAGE, Plan, plan_field
+from planning.plan import NARROW_PART, NARROW_PASSAGE, Plan, plan_field, worked_area, working_inside
 from planning.turns.free_space import FreeSpace
 from planning.turns.sampling import sampled_connection
 from planning.turns.search import Connection, ConnectionRequest, straight
@@ -217,6 +217,23 @@ def test_part_beyond_a_neck(
     plan = plan_field(divided, vehicle, harrow, work, planning.planner, 0)
     beyond = box(96, 1, 149, 59)
     assert plan.planned_area.intersection(beyond).area > 0.95 * beyond.area
+
+
+def test_no_margin(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    work = mission.work.model_copy(update={"boundary_margin_m": 0.0})
+    assert plan_field(site, vehicle, harrow, work, planning.planner, 0).planned_share > 0.95
+
+
+def test_nothing_is_worked_outside_of_an_area(plan: Plan) -> None:
+    """As on the lane in the gate, where machine and implement may be."""
+    low_x, low_y, high_x, high_y = plan.drivable.inner.bounds
+    half = plan.drivable.inner.intersection(box(low_x, low_y, 0.5 * (low_x + high_x), high_y))
+    before, after = (worked_area(paths, plan.rig) for paths in (plan.paths, working_inside(plan.paths, plan.rig, half)))
+    assert before.difference(half).area > 0.3 * before.area
+    assert after.difference(half.buffer(0.06)).area < 0.1
+    assert after.intersection(half).area > 0.9 * before.intersection(half).area
 
 
 def test_dead_end(
