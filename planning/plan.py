@@ -1,6 +1,6 @@
 """Plan of a complete mission, verified by the swept footprint."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -217,9 +217,9 @@ def plan_field(
         raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
     report("check")
     surveyed = drivable_area_of(site, work.boundary_margin_m, work.margins)
-    on_paths = [r.space(surveyed.allowed) for r in (rig, folded)]
-    paths, refills = _paths(found, rig, on_paths, "" if work.refill is None else work.refill.reason)
-    check_inside(paths, rig, folded, surveyed)
+    spaces = [r.space(surveyed.allowed) for r in (rig, folded)]
+    paths, refills = _paths(found, rig, spaces, "" if work.refill is None else work.refill.reason)
+    _check_inside(paths, rig, spaces, surveyed)
     paths = working_inside(paths, rig, surveyed.inner)
     area = worked_area(paths, rig).intersection(drivable.whole)
     bends = _beside_bends(regions, passes, rig) if curved_line_of(work) is not None else Polygon()
@@ -253,14 +253,22 @@ def _paths(
 
 def working_inside(paths: Sequence[Path], rig: Rig, inner: BaseGeometry) -> tuple[Path, ...]:
     """The paths without work where the working line reaches out of the field, as on the lane in its gate."""
-    field, hitch_rad, found = grow(inner, WORK_SLACK_M), 0.0, list[Path]()
+    field = grow(inner, WORK_SLACK_M)
     shapely.prepare(field)
+    found = list[Path]()
+    for path, _, edges in _working_lines(paths, rig):
+        left, right = (shapely.contains_xy(field, *edge.T) for edge in edges)
+        found.append(replace(path, is_working=path.is_working * (left & right)))
+    return tuple(found)
+
+
+def _working_lines(paths: Sequence[Path], rig: Rig) -> Iterator[tuple[Path, Float64, tuple[Float64, Float64]]]:
+    """Each path with the headings (N,) of the working line and its left and right ends (N, 2)."""
+    hitch_rad = 0.0
     for path in paths:
         p, heading = rig.carriers(path.p_map_m, path.heading_rad, hitch_rad)
         hitch_rad = float(rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)[-1])
-        left, right = (shapely.contains_xy(field, *edge.T) for edge in rig.working_edges(p, heading))
-        found.append(replace(path, is_working=path.is_working * (left & right)))
-    return tuple(found)
+        yield path, heading, rig.working_edges(p, heading)
 
 
 def check_within(plan: Plan, site: Site, work: Work) -> None:
@@ -294,7 +302,11 @@ def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: Drivabl
 
     A trailed implement is in line at first.
     """
-    spaces, hitch_rad = [r.space(drivable.allowed) for r in (rig, folded)], 0.0
+    _check_inside(paths, rig, [r.space(drivable.allowed) for r in (rig, folded)], drivable)
+
+
+def _check_inside(paths: Sequence[Path], rig: Rig, spaces: Sequence[FreeSpace], drivable: DrivableArea) -> None:
+    hitch_rad = 0.0
     for path in paths:
         outside = spaces[path.is_transport].touching(path.p_map_m, path.heading_rad, hitch_rad)
         angles = rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)
@@ -317,11 +329,8 @@ def check_inside(paths: Sequence[Path], rig: Rig, folded: Rig, drivable: Drivabl
 
 def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
     """Area swept by the working line where `is_working` is set."""
-    shapes, hitch_rad = [], 0.0
-    for path in paths:
-        p, heading = rig.carriers(path.p_map_m, path.heading_rad, hitch_rad)
-        hitch_rad = float(rig.hitch_angles(path.p_map_m, path.heading_rad, hitch_rad)[-1])
-        left, right = rig.working_edges(p, heading)
+    shapes = []
+    for path, heading, (left, right) in _working_lines(paths, rig):
         for a, b in runs_of(path.is_working > 0):
             keep = corners_of(np.unwrap(heading[a : b + 1])) + a
             shapes.append(worked(left[keep], right[keep]))

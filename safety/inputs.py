@@ -106,6 +106,7 @@ class SupervisorInputs:
 
 def valid_path(path: Path | None) -> Path | None:
     """The path if all its poses are finite, else None."""
-    if path is None or not np.isfinite(path.s_m).all() or not np.isfinite(path.heading_rad).all():
+    if path is None:
         return None
-    return path if np.isfinite(path.p_map_m).all() else None
+    is_finite = all(np.isfinite(values).all() for values in (path.s_m, path.heading_rad, path.p_map_m))
+    return path if is_finite else None

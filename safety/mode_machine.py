@@ -51,12 +51,9 @@ class ModeMachine:
         self._watch_sight(situation)
         asked = self._orders.events(situation.now_ns, orders)
         permitted = filter_permitted(asked, situation, decision)
-        is_unconfirmed = self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns)
-        if is_unconfirmed:
-            permitted -= {Event.START}
         events = permitted | self._observed(situation, decision, mission)
-        if is_unconfirmed:
-            events -= {Event.CLEAR}
+        if self._needs_confirmation and not self._orders.is_confirmed(situation.now_ns):
+            events -= {Event.START, Event.CLEAR}
         before, self.mode = self.mode, next_mode(self.mode, events)
         if Event.EMERGENCY in asked and before is not Mode.EMERGENCY_STOP:
             self.latched = COMMANDED
@@ -87,7 +84,8 @@ class ModeMachine:
         is_warning, is_blocked = self.mode is Mode.START_WARNING, self._is_blocked(situation, decision)
         warned_s = self._warned.update(now_ns, is_warning)
         open_s = self._open.update(now_ns, is_warning and not is_blocked)
-        is_at_rest = is_warning and warned_s < self._warning_s and not situation.is_moving
+        is_warned = warned_s >= self._warning_s
+        is_at_rest = is_warning and not is_warned and not situation.is_moving
         is_passable = decision.passable_mps >= kmh(self._config.resume_kmh)
         clear_s = self._clear.update(now_ns, self.mode is Mode.OBSTACLE_STOP and is_passable)
         is_over = mission is not None and mission.state in (MissionState.FINISHED, MissionState.ABORTED)
@@ -99,7 +97,7 @@ class ModeMachine:
             Event.WAIT: self._was_waiting and not situation.is_moving,
             Event.OBSTACLE: is_blocked and not is_at_rest,
             Event.CLEAR: clear_s >= self._config.resume_clear_s and not situation.is_departure_unresolved,
-            Event.WARNED: warned_s >= self._warning_s and open_s >= min(warned_s, self._config.resume_clear_s),
+            Event.WARNED: is_warned and open_s >= min(warned_s, self._config.resume_clear_s),
         }
         return frozenset(event for event, holds in happened.items() if holds)
 
@@ -112,9 +110,9 @@ class ModeMachine:
         creeping up.
         """
         is_at_rest = self.mode is Mode.AUTOMATIC and not situation.is_moving
-        if decision.is_obstacle_inside or (is_at_rest and situation.is_somebody_near):
-            return True
-        if self.mode is Mode.START_WARNING and situation.is_departure_unresolved:
+        is_held = is_at_rest and situation.is_somebody_near
+        is_held |= self.mode is Mode.START_WARNING and situation.is_departure_unresolved
+        if decision.is_obstacle_inside or is_held:
             return True
         is_body_in_path = situation.standing_body.gap_m == 0.0
         least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps
@@ -149,7 +147,7 @@ class ModeMachine:
 
     def _require_confirmation(self) -> None:
         """Somebody may be near, unseen: after power-on, a step of the clock or the pose, manual driving, an emergency
-        stop, which who pressed the button is near, a time without sight, and while a mission waits."""
+        stop (somebody pressed the button), a time without sight, and while a mission waits."""
         self._needs_confirmation = True
         self._orders.forget_confirmation()
 

@@ -92,13 +92,13 @@ def _result(
     if run.origin_m is not None and len(trajectory):
         loop_m = round(float(np.linalg.norm(trajectory.T_map_base[-1, :2, 3] - run.origin_m)), 3)
     clocks = run.clocks.notes()
-    found = [run.wheels.finding()] if run.wheels is not None and run.wheels.finding() else []
+    finding = "" if run.wheels is None else run.wheels.finding()
     state, reason = PASSED, ""
     if share is None:
         awaited = ", ".join(run.awaited_s) or run.node.awaited
-        state, reason = NOT_SHOWN, f"no position: {'; '.join([*clocks, *found]) or f'awaited {awaited}'}"
-    elif found:
-        state, reason = FAILED, found[0]
+        state, reason = NOT_SHOWN, f"no position: {'; '.join(filter(None, [*clocks, finding])) or f'awaited {awaited}'}"
+    elif finding:
+        state, reason = FAILED, finding
     elif share < least_share:
         state, reason = FAILED, f"placed {share:.1%} of the time after the alignment, {least_share:.0%} are required"
     elif errors is not None and errors.exceeded_share > 0.0:

@@ -28,17 +28,16 @@ class OperatorCommands:
         self._max_confirmation_ns, self._max_pending_ns = (round(s * 1e9) for s in (max_confirmation_s, max_pending_s))
         self._confirmed_until_ns: int | None = None
         self._sequence = dict.fromkeys(authorities, -1)
-        self._pending: OperatorCommand | None = None
-        self._pending_until_ns = 0
+        self._pending_until_ns: int | None = None  # of a start
 
     def events(self, now_ns: int, commands: Iterable[OperatorCommand]) -> frozenset[Event]:
         """Events of the accepted commands and of a pending start."""
         accepted = [command.kind for command in commands if self._accept(now_ns, command)]
         self.is_just_confirmed = OperatorCommandKind.CONFIRM_CLEAR in accepted
         requested = {EVENTS[kind] for kind in accepted if kind in EVENTS}
-        if self._pending is not None and now_ns > self._pending_until_ns:
-            self._pending = None
-        return frozenset(requested - {Event.START} if self._pending is None else requested | {Event.START})
+        if self._pending_until_ns is not None and now_ns > self._pending_until_ns:
+            self._pending_until_ns = None
+        return frozenset(requested | {Event.START} if self.is_start_pending else requested - {Event.START})
 
     def is_confirmed(self, now_ns: int) -> bool:
         """Whether an operator has confirmed that nobody is near the machine, and the confirmation has not expired."""
@@ -51,15 +50,15 @@ class OperatorCommands:
     @property
     def is_start_pending(self) -> bool:
         """Whether a start waits for its execution."""
-        return self._pending is not None
+        return self._pending_until_ns is not None
 
     def forget_start(self) -> None:
         """Clears the pending start: executed, or superseded by a stop."""
-        self._pending = None
+        self._pending_until_ns = None
 
     def _accept(self, now_ns: int, command: OperatorCommand) -> bool:
         if command.kind is OperatorCommandKind.EMERGENCY_STOP:
-            self._pending = None
+            self._pending_until_ns = None
             return True
         last = self._sequence.get(command.authority)
         if last is None or command.sequence <= last or now_ns > command.expires_ns:
@@ -73,6 +72,6 @@ class OperatorCommands:
         if is_confirmation:
             self._confirmed_until_ns = command.expires_ns
             return True
-        self._pending = command if command.kind in (OperatorCommandKind.START, OperatorCommandKind.RESUME) else None
-        self._pending_until_ns = min(command.expires_ns, now_ns + self._max_pending_ns)
+        is_start = EVENTS.get(command.kind) is Event.START
+        self._pending_until_ns = min(command.expires_ns, now_ns + self._max_pending_ns) if is_start else None
         return True

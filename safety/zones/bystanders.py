@@ -120,7 +120,7 @@ class Bystanders:
     def forget_unseen(self) -> None:
         """An operator has confirmed that nobody is near the machine: only a person or animal that is seen remains.
 
-        What stands right at the machine now is nobody, while it stays there.
+        Returns right at machine or implement now are not of a body, as long as they stay where they are.
         """
         self._confirmed_odom_m, self._at_machine_ns = self._at_machine_odom_m, None
         self._places = {n: place for n, place in self._places.items() if place.is_seen and place.may_walk}
