@@ -183,7 +183,7 @@ class OrderRig:
         self._sequence += 1
         content = {
             "machine": "bench-1", "session": self._session, "authority": "remote", "sequence": self._sequence,
-            "order": "start", "expires_ns": self.now_ns + 10**10,
+            "order": "start", "signed_ns": self.now_ns, "expires_ns": self.now_ns + 10**10,
         }  # fmt: skip
         return content | changes
 

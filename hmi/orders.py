@@ -53,7 +53,8 @@ class OrderSender:
         self._sequence = max(now_ns, self._sequence + 1)
         content = {
             "machine": status.machine, "session": status.session, "authority": self._authority,
-            "sequence": self._sequence, "order": order, "expires_ns": now_ns + round(valid_s * 1e9),
+            "sequence": self._sequence, "order": order, "signed_ns": now_ns,
+            "expires_ns": now_ns + round(valid_s * 1e9),
         }  # fmt: skip
         more = ({} if left_m is None else {"left_m": left_m}) | ({"is_check": True} if is_check else {})
         payload = json.dumps(content | more).encode()

@@ -23,7 +23,7 @@ class SimulatedOperator:
         self._sequence = max(now_ns, self._sequence + 1)
         content = {
             "machine": self._machine, "session": self._session, "authority": AUTHORITY, "sequence": self._sequence,
-            "order": kind.name.lower(), "expires_ns": now_ns + round(valid_s * 1e9),
+            "order": kind.name.lower(), "signed_ns": now_ns, "expires_ns": now_ns + round(valid_s * 1e9),
         } | ({} if left_m is None else {"left_m": left_m})  # fmt: skip
         payload = json.dumps(content).encode()
         return SignedOrder(now_ns, public_bytes(self._key), self._key.sign(payload), payload)

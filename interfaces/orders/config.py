@@ -41,4 +41,5 @@ class OrdersConfig(Config):
     keys: dict[str, OrderKey]
     max_per_s: int = Field(ge=1, le=100, description="accepted orders of one key within a second")
     max_validity_s: float = Field(gt=0.0, le=3600.0, description="longest time to expiry")
+    max_delay_s: float = Field(gt=0.0, le=60.0, description="longest time from its signature, but of a stop")
     report_s: float = Field(ge=0.1, le=10.0, description="a refusal is reported for this long")

@@ -23,6 +23,7 @@ ANYONE = "anyone"
 MAX_BYTES = 1024
 STOP, NUDGE = "emergency_stop", "nudge"
 MAX_STEP_M = 0.05  # of one nudge
+STOPS = (STOP, "pause", FORBID)  # taken however late they come
 STARTS = (OperatorCommandKind.START, OperatorCommandKind.RESUME)
 
 
@@ -61,6 +62,7 @@ class Payload(Config):
     authority: str = Field(max_length=40)
     sequence: int = Field(ge=0, lt=1 << 63, strict=True)
     order: str = Field(max_length=40)
+    signed_ns: int = Field(ge=0, lt=1 << 63, strict=True)
     expires_ns: int = Field(ge=0, lt=1 << 63, strict=True)
     left_m: float | None = Field(default=None, ge=-MAX_STEP_M, le=MAX_STEP_M, allow_inf_nan=False)
     is_check: bool = Field(default=False, strict=True)
@@ -152,6 +154,9 @@ class OrderVerifier:
             raise Refusal(Reason.NOT_PERMITTED, f"{payload.order} by {payload.authority}")
 
     def _check_time(self, now_ns: int, payload: Payload) -> None:
+        age_s = (now_ns - payload.signed_ns) * 1e-9
+        if abs(age_s) > self._config.max_delay_s and payload.order not in STOPS:
+            raise Refusal(Reason.STALE, f"{payload.order} was signed {age_s:.1f} s ago")
         left_s = (payload.expires_ns - now_ns) * 1e-9
         if not 0.0 <= left_s <= self._config.max_validity_s:
             raise Refusal(Reason.STALE, f"{payload.order} expires in {left_s:.1f} s")

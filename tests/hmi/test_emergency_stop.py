@@ -17,7 +17,7 @@ from interfaces.orders.verifier import OrderVerifier
 from messages.command import OperatorCommand, OperatorCommandKind
 from tests.hmi.drive_messages import EmptyInbox
 
-CONFIG = OrdersConfig(keys={}, max_per_s=5, max_validity_s=600.0, report_s=0.5)
+CONFIG = OrdersConfig(keys={}, max_per_s=5, max_validity_s=600.0, max_delay_s=3.0, report_s=0.5)
 
 
 class Machine:

@@ -31,7 +31,7 @@ class Machine:
 
     def __init__(self, key: Ed25519PrivateKey, session: str = "one") -> None:
         known = OrderKey(public_key=public_key_of(key).hex(), authority="operator", orders=("start", "pause"))
-        config = OrdersConfig(keys={"page": known}, max_per_s=5, max_validity_s=60.0, report_s=0.5)
+        config = OrdersConfig(keys={"page": known}, max_per_s=5, max_validity_s=60.0, max_delay_s=3.0, report_s=0.5)
         self.port = OrderPort(0)
         verifier = OrderVerifier("tractor-1", session, config, SequenceStore(None))
         self.gate = OrderGate("tractor-1", session, verifier, 0.5, 0.1, self.port)
