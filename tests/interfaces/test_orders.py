@@ -290,9 +290,9 @@ def test_forbid_pauses_and_no_start_or_resume_is_accepted_until_it_is_permitted(
     others = [signed(order=order, sequence=14 + k) for k, order in enumerate(("pause", "confirm_clear"))]
     assert len(bench.give(*others, after_s=2.0)) == 2
     assert bench.give(signed_bytes(b'{"order": "emergency_stop"}', STRANGER)) == [OperatorCommandKind.EMERGENCY_STOP]
-    bench.give(after_s=2.0)
     present_ns = {"signed_ns": bench.now_ns}
-    assert bench.give(signed(order="permit", sequence=20, **present_ns)) == [OperatorCommandKind.PAUSE]
+    permit = signed(order="permit", sequence=20, **present_ns)
+    assert bench.give(permit, after_s=2.0) == [OperatorCommandKind.PAUSE]
     assert not bench.of(OrderStatus)[-1].is_forbidden
     assert bench.give(signed(order="start", sequence=21, **present_ns)) == [OperatorCommandKind.START]
 
