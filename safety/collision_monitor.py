@@ -44,7 +44,7 @@ from safety.zones.protective_field import (
     section_type_at,
     sweep_field,
 )
-from safety.zones.standing_bodies import Plants, StandingBodies
+from safety.zones.standing_bodies import Cover, StandingBodies
 from safety.zones.swept_area import outline_points, sweep_along
 from safety.zones.tracked_obstacles import (
     NO_CRITICAL_OBJECT,
@@ -273,8 +273,8 @@ class CollisionMonitor:
         machine = MachineMotion(swept_field.main, pose_odom, speed_mps, odom.yaw_rate_radps, braking)
         unfolded = self._unfolded if self._footprint is self._footprints.transport else None
         self.bystanders.note_returns(hits, is_inside, machine, unfolded, odom.stamp_ns)
-        plants = self._plants(inputs.tracks, odom)
-        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, plants)
+        cover = self._cover(inputs.tracks, odom)
+        self.standing_bodies.update(near, swept_field.main, pose_odom, braking, odom.stamp_ns, is_inside, cover)
         self._critical_object = min(
             self._nearest_object(near, inputs.tracks, odom, machine, predicted_s, is_standing),
             self.standing_bodies.hidden, key=lambda one: one.clearance_m,
@@ -282,10 +282,10 @@ class CollisionMonitor:
         self._geofence_distance_m = self._distance_inside_m(pose_map, swept_field, speed_mps, braking)
         self._update_wall_distance(pose_map, swept_field, sigma_m)
 
-    def _plants(self, tracks: Tracks | None, odom: Odometry) -> Plants | None:
-        height_m = self.sources.vegetation_m
+    def _cover(self, tracks: Tracks | None, odom: Odometry) -> Cover | None:
+        height_m = self.sources.cover_m
         all_tracks = () if tracks is None else tracks.tracks
-        return Plants(height_m, all_tracks, invert(odom.T_odom_base)) if height_m > 0.0 else None
+        return Cover(height_m, all_tracks, invert(odom.T_odom_base)) if height_m > 0.0 else None
 
     def _nearest_object(
         self, near: list[tuple[Track, bool]], tracks: Tracks | None, odom: Odometry, machine: MachineMotion,

@@ -273,8 +273,8 @@ class StandingBodyConfig(Config):
     hold_s: Seconds = Field(description="time for which one that is lost from view stays where it was")
     lost_s: Seconds = Field(description="time after which one among plants that hide who lies counts as lost from view")
     reach_m: Metres = Field(description="distance up to which such a one stays where it was")
-    glimpsed_s: Seconds = Field(description="time for which an unconfirmed body among plants was seen to count as such")
-    glimpsed_above_m: Metres = Field(description="its least height above the plants")
+    glimpsed_s: Seconds = Field(description="time for which a young body in cover was seen to count as such")
+    glimpsed_above_m: Metres = Field(description="its least height above the cover")
     glimpsed_length_m: Metres = Field(description="its largest length, and the distance that it may have moved")
 
 

@@ -84,6 +84,12 @@ class ObstacleSources:
         """Height of the plants around the machine, the greatest that any lidar measures; 0 without."""
         return max((source.vegetation_m for source in self.lidars), default=0.0)
 
+    @property
+    def cover_m(self) -> float:
+        """Height up to which plants or rough ground hide who lies, the greatest that any lidar measures; 0 without."""
+        rough_m = max((source.floor_m for source in self.lidars), default=0.0)
+        return max(self.vegetation_m, rough_m if rough_m > self._config.field.min_height_m else 0.0)
+
     def forget_held(self) -> None:
         """Drops the hits that are held in blind zones, and those of sensors without new data."""
         for lidar in self.lidars:

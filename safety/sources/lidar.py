@@ -74,8 +74,8 @@ class LidarSource:
 
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
-    of the plants around. `ground` is that near the lidar; `has_other_rings`: the last range image is not one of the
-    configured lidar.
+    of the plants around, `floor_m` the least height above rough ground that counts. `ground` is that near the lidar;
+    `has_other_rings`: the last range image is not one of the configured lidar.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class LidarSource:
         self._kept: tuple[Float64, Int64] = (np.empty((0, 3)), np.empty(0, np.int64))
         self._contents: dict[int, int] = {}  # number of the last scan with each content, oldest first
         self._scans = self._equal_scans = 0
-        self.ground, self.vegetation_m = NO_GROUND, 0.0
+        self.ground, self.vegetation_m, self.floor_m = NO_GROUND, 0.0, 0.0
         self.has_other_rings, self._rings = False, len(lidar.elevation_deg)
         warm(self._T_base_sensor)
 
@@ -211,13 +211,14 @@ class LidarSource:
         is_high &= ~near.is_plant
         if not self._looks_down:
             return is_high, is_high, none
-        self.vegetation_m = near.vegetation_m
+        self.vegetation_m, self.floor_m = near.vegetation_m, near.min_height_m
         is_low, is_dense, is_hidden = near.is_obstacle, near.is_dense, is_above_plane & ~is_high
         if near.min_height_m > config.field.min_height_m:
             is_hidden[:] = True  # on such ground the near field misses what the plane may not reach
         if is_hidden.any():
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             level_near = mark_low_obstacles(level_xyz, near_field, self._on_slopes, *plants)
+            self.floor_m = min(self.floor_m, level_near.min_height_m)
             is_more = is_hidden & level_near.is_obstacle & ~near.is_plant
             is_dense = (is_low & is_dense & ~is_more) | (is_more & level_near.is_dense & (~is_low | is_dense))
             is_low |= is_more

@@ -123,7 +123,7 @@ def make(
             update=Spy(False), with_new_scan=Spy([]), set_footprint=Spy(None), set_hitch=Spy(None),
             update_lidars=Spy(None), clearance=Spy(Clearance(7.0, 3.0, np.array([(7.0, 0.0, 1.0)]))),
             lidar_hits_odom_m=np.array([(8.0, 2.0)]), holes_odom_m=np.empty((0, 2)), forget_held=Spy(None),
-            vegetation_m=0.0,
+            cover_m=0.0,
         )  # fmt: skip
         collision_monitor.departure = SimpleNamespace(is_kept=False, update=Spy(None), forget=Spy(None))
         collision_monitor.standing_bodies = SimpleNamespace(
@@ -350,8 +350,8 @@ def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: Safet
     inside = Geofence((to_frame(POSE_MAP, base),)).contains
     collision_monitor = make(geofence=SimpleNamespace(contains=inside, contains_box=Spy(True), posts=NO_POSTS))
     look(collision_monitor, config)
-    near, area, pose_odom, braking, now_ns, is_inside, plants = collision_monitor.standing_bodies.update.asked
-    assert plants is None
+    near, area, pose_odom, braking, now_ns, is_inside, cover = collision_monitor.standing_bodies.update.asked
+    assert cover is None
     assert (near, area) == ([], collision_monitor.swept_field.main)
     assert pose_odom == pytest.approx(POSE_ODOM)
     assert (braking, now_ns) == (config.braking.flat, START_NS)
@@ -361,16 +361,16 @@ def test_standing_bodies_are_sought_inside_the_geofence(make: Any, config: Safet
     assert unknown.standing_bodies.update.asked[-2] is None
 
 
-def test_who_is_lost_among_plants_is_a_critical_object(make: Any, config: SafetyConfig, parts: Any) -> None:
+def test_who_is_lost_in_cover_is_a_critical_object(make: Any, config: SafetyConfig, parts: Any) -> None:
     collision_monitor = make()
-    collision_monitor.sources.vegetation_m = 0.3
+    collision_monitor.sources.cover_m = 0.3
     collision_monitor.standing_bodies.hidden = CriticalObject(2.0, ObstacleClass.PERSON, 7)
     for nearest_m in (1.99, 2.0, 2.01):
         parts.nearest_critical_object.answer = CriticalObject(nearest_m, ObstacleClass.VEHICLE, 3)
         look(collision_monitor, config, replace(SEEN, tracks=Tracks(START_NS + round(1e6 * nearest_m), ())))
-        plants = collision_monitor.standing_bodies.update.asked[-1]
-        assert (plants.height_m, plants.tracks) == (0.3, ())
-        assert plants.T_base_odom @ SEEN.odom.T_odom_base == pytest.approx(np.eye(4))
+        cover = collision_monitor.standing_bodies.update.asked[-1]
+        assert (cover.height_m, cover.tracks) == (0.3, ())
+        assert cover.T_base_odom @ SEEN.odom.T_odom_base == pytest.approx(np.eye(4))
         assert collision_monitor.critical_object().id == (3 if nearest_m <= 2.0 else 7), nearest_m
     look(collision_monitor, config, replace(SEEN, tracks=None))
     assert collision_monitor.standing_bodies.update.asked[-1].tracks == ()  # they hide who lies there without any too

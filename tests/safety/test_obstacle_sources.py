@@ -280,6 +280,16 @@ def test_echo_conditions(sources: ObstacleSources, swept_field: SweptField, conf
     assert clearance_of(sources, swept_field).main_m == math.inf  # the echo may be of a plant
 
 
+@pytest.mark.parametrize(
+    ("vegetation_m", "floor_m", "cover_m"), [(0.0, 0.12, 0.0), (0.0, 0.25, 0.0), (0.0, 0.3, 0.3), (0.35, 0.3, 0.35)]
+)
+def test_plants_and_rough_ground_hide_who_lies(
+    sources: ObstacleSources, vegetation_m: float, floor_m: float, cover_m: float
+) -> None:
+    sources.lidars[0].vegetation_m, sources.lidars[1].floor_m = vegetation_m, floor_m
+    assert sources.cover_m == cover_m
+
+
 def test_detection_range_of_covering_lidars(sources: ObstacleSources) -> None:
     front, rear = sources.lidars
     front._detection_range_m, rear._detection_range_m = {1: 40.0}, {-1: 20.0}
