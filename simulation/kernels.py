@@ -10,6 +10,7 @@ from geometry.jit import kernel
 from simulation.environment.ground_kernels import COLUMNS, feature_height
 
 UInt32 = npt.NDArray[np.uint32]
+CONTACT_M = (0.5, 0.4)  # length and width of the contact area of a tractor's tyre on soil
 
 
 @kernel
@@ -44,6 +45,21 @@ def heights_at(xy: Float64, profile: Float64, waves: Float64, features: Float64,
 
 
 @kernel
+def wheel_height(
+    x: float, y: float, c: float, s: float, profile: Float64, waves: Float64, features: Float64, field: Float64
+) -> float:  # fmt: skip
+    """Height of a wheel that rolls in the direction (c, s): the mean over the contact area where there are features."""
+    if features.shape[0] == 0:
+        return float(height_at(x, y, profile, waves, features, field))
+    total = 0.0
+    for i in range(5):
+        for k in range(3):
+            u, v = ((i + 0.5) / 5.0 - 0.5) * CONTACT_M[0], ((k + 0.5) / 3.0 - 0.5) * CONTACT_M[1]
+            total += height_at(x + u * c - v * s, y + u * s + v * c, profile, waves, features, field)
+    return total / 15.0
+
+
+@kernel
 def pose_on_ground(
     x: float, y: float, yaw: float, wheelbase: float, track: float, profile: Float64, waves: Float64, features: Float64,
     field: Float64,
@@ -51,10 +67,10 @@ def pose_on_ground(
     """Pose (4, 4) of a machine whose rear wheels and front axle centre touch the ground."""
     c, s, half = math.cos(yaw), math.sin(yaw), 0.5 * track
     fx, fy = x + wheelbase * c, y + wheelbase * s
-    left = height_at(x - half * s, y + half * c, profile, waves, features, field)
-    right = height_at(x + half * s, y - half * c, profile, waves, features, field)
-    front = height_at(fx - half * s, fy + half * c, profile, waves, features, field)
-    front = 0.5 * (front + height_at(fx + half * s, fy - half * c, profile, waves, features, field))
+    left = wheel_height(x - half * s, y + half * c, c, s, profile, waves, features, field)
+    right = wheel_height(x + half * s, y - half * c, c, s, profile, waves, features, field)
+    front = wheel_height(fx - half * s, fy + half * c, c, s, profile, waves, features, field)
+    front = 0.5 * (front + wheel_height(fx + half * s, fy - half * c, c, s, profile, waves, features, field))
     rear = 0.5 * (left + right)
     pitch, roll = -math.atan2(front - rear, wheelbase), math.atan2(left - right, track)
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)

@@ -118,6 +118,8 @@ def test_ditch_ruts_furrows_side_slope():
         [-0.1, -0.1, -0.05, 0.0, -0.1]
     )
     assert ruts.height_m(-25.0, 0.95) == 0.0  # outside of the field
+    rear_m = [ruts.pose_on_ground(40.0, y, 0.0, 2.55, 1.9)[2, 3] for y in (0.0, 1.9)]  # both wheels, one
+    assert rear_m == pytest.approx([-0.05, -0.025], abs=1e-3)  # a tyre rests on the mean of its contact area
     slope = terrain_of(side_slope_deg=5.0)
     assert slope.height_m(10.0, 25.0) - slope.height_m(10.0, 15.0) == pytest.approx(10.0 * math.tan(math.radians(5.0)))
     furrows = terrain_of(furrows={"depth_m": 0.2, "spacing_m": 1.0})
