@@ -1,16 +1,17 @@
 """Class of tracks from shape over time and speed.
 
-A cyclist, whom no shape of a standing person covers, is a person; what floated a moment ago and is fast flies.
+A cyclist, whom no shape of a standing person covers, is a person; what has no class, is small and runs is an animal;
+what floated a moment ago and is fast flies.
 """
 
 import numpy as np
 
 from geometry.arrays import Float64, Int64
 from messages.perception import ObstacleClass
-from perception.fusion.tracks import AIRBORNE, CLASSES, FLIGHT_MPS, TrackTable
+from perception.fusion.tracks import AIRBORNE, CLASSES, FLIGHT_MPS, UNKNOWN, TrackTable
 from perception.lidar.classes import UNKNOWN_WEIGHT, trapezoid
 
-PERSON = CLASSES.index(ObstacleClass.PERSON)
+PERSON, ANIMAL = CLASSES.index(ObstacleClass.PERSON), CLASSES.index(ObstacleClass.ANIMAL)
 CLASS_SPEEDS_MPS = {
     ObstacleClass.PERSON: 4.0,
     ObstacleClass.POLE: 0.7,
@@ -23,6 +24,7 @@ YOUNG_NS = 500_000_000  # a track that is younger has no speed yet
 FLOATED_NS = 1_000_000_000  # dust at the ground has clear space beneath it in some scans, and its parts seem to run
 CYCLIST_SPEED_MPS = 4.0
 CYCLIST = ((1.3, 1.55, 1.95, 2.2), (0.2, 0.4, 0.9, 1.1), (1.2, 1.45, 2.0, 2.3), (1.5, 2.5, 10.0, 14.0))
+RUNNER = ((0.2, 0.4, 1.0, 1.4), (0.0, 0.02, 0.4, 0.6), (0.1, 0.25, 0.6, 0.9), (0.5, 1.0, 8.0, 12.0))  # a dog or a hare
 
 
 def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
@@ -37,7 +39,10 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     share *= np.where(speed[:, None] > MAX_SPEED_MPS, 0.01, 1.0)
     share /= share.sum(axis=1, keepdims=True)
     is_young = (table.last_ns - table.first_ns < YOUNG_NS) & (table.size_m[:, 1] > CYCLIST[1][1])
-    cyclist = cyclist_probability(table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
+    runner = moving_probability(RUNNER, table.size_m, speed) * share[:, UNKNOWN]
+    share[:, UNKNOWN] -= runner
+    share[:, ANIMAL] += runner
+    cyclist = moving_probability(CYCLIST, table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
     share *= 1.0 - cyclist[:, None]
     share[:, PERSON] += cyclist
     share[(table.last_ns - table.floated_ns <= FLOATED_NS) & (speed >= FLIGHT_MPS)] = np.eye(len(CLASSES))[AIRBORNE]
@@ -45,9 +50,11 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     return best, share[np.arange(len(best)), best]
 
 
-def cyclist_probability(size_m: Float64, speed_mps: Float64) -> Float64:
-    """Probability (T,) that boxes (T, 3) at these speeds (T,) are cyclists, against an unknown object."""
-    length, width, height, speed = CYCLIST
+def moving_probability(
+    body: tuple[tuple[float, float, float, float], ...], size_m: Float64, speed_mps: Float64
+) -> Float64:
+    """Probability (T,) that boxes (T, 3) at these speeds (T,) are such a body, against an unknown object."""
+    length, width, height, speed = body
     fit = trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width) * trapezoid(size_m[:, 2], *height)
     fit = fit * trapezoid(speed_mps, *speed)
     return np.asarray(fit / (fit + UNKNOWN_WEIGHT), np.float64)

@@ -12,10 +12,10 @@ UNKNOWN_WEIGHT = 0.25  # score of `UNKNOWN` against a perfect match of 1
 # to crouched adults and children; hare to cow; quad bike to lorry; post to trunk; heaps of soil.
 SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
     ObstacleClass.PERSON: ((0.6, 1.1, 2.0, 2.3), (0.05, 0.2, 1.1, 1.9), (0.0, 0.1, 0.8, 1.1)),
-    ObstacleClass.ANIMAL: ((0.2, 0.4, 1.2, 1.7), (0.3, 0.7, 2.2, 3.0), (0.05, 0.15, 0.9, 1.2)),
-    ObstacleClass.VEHICLE: ((0.8, 1.3, 3.6, 4.5), (1.4, 2.4, 12.0, 20.0), (0.3, 0.9, 3.2, 4.0)),
+    ObstacleClass.ANIMAL: ((0.2, 0.4, 1.3, 1.7), (0.3, 0.7, 2.2, 3.0), (0.05, 0.15, 0.8, 1.05)),
+    ObstacleClass.VEHICLE: ((0.7, 1.0, 3.6, 4.5), (1.3, 1.8, 12.0, 20.0), (0.3, 1.0, 3.2, 4.0)),
     ObstacleClass.POLE: ((0.8, 1.3, 9.0, 20.0), (0.0, 0.05, 0.35, 0.5), (0.0, 0.05, 0.3, 0.5)),
-    ObstacleClass.MOUND: ((0.15, 0.25, 0.9, 1.4), (1.0, 1.6, 8.0, 15.0), (0.4, 0.8, 6.0, 12.0)),
+    ObstacleClass.MOUND: ((0.15, 0.25, 0.8, 1.2), (1.0, 1.6, 8.0, 15.0), (0.4, 0.8, 6.0, 12.0)),
 }
 Limit = Float64 | float
 LIMITS: Float64 = np.array(list(SHAPES.values())).transpose(2, 1, 0)[:, :, None]  # (4, 3, 1, classes)

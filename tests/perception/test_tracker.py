@@ -324,6 +324,28 @@ def test_cyclist_is_a_person(size_m, speed_mps, is_person):
     assert (track.label is ObstacleClass.PERSON) == is_person
 
 
+@pytest.mark.parametrize(
+    ("size_m", "speed_mps", "label"),
+    [
+        ((0.55, 0.12, 0.4), 1.5, ObstacleClass.ANIMAL), ((0.55, 0.12, 0.4), 5.0, ObstacleClass.ANIMAL),  # a dog
+        ((0.55, 0.12, 0.4), 0.0, ObstacleClass.UNKNOWN),  # a tuft, a stone
+        ((2.5, 0.12, 0.4), 1.5, ObstacleClass.UNKNOWN),  # a part of a fence that appears to move
+        ((1.86, 0.96, 0.96), 0.0, ObstacleClass.VEHICLE),  # a quad bike, seen without its handlebar
+        ((1.9, 1.05, 1.2), 3.0, ObstacleClass.VEHICLE),
+        ((2.2, 0.75, 1.4), 0.0, ObstacleClass.ANIMAL),  # a cow
+        ((3.0, 2.0, 0.6), 0.0, ObstacleClass.MOUND),
+    ],
+)  # fmt: skip
+def test_class_of_small_runners_and_small_vehicles(size_m, speed_mps, label):
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
+    scans = [
+        replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.3]], sizes=size_m), class_scores=scores)
+        for t in stamps(10, 2.0)
+    ]
+    (track,) = run(new_tracker(LIDAR), scans)[-1].tracks
+    assert track.label is label
+
+
 def test_no_output_without_odometry():
     feed = Feed()
     feed.topics[LIDAR] = (message(START, [[12.0, 1.0, 0.9]]),)
