@@ -327,9 +327,9 @@ def test_cyclist_is_a_person(size_m, speed_mps, is_person):
 @pytest.mark.parametrize(
     ("size_m", "speed_mps", "label"),
     [
-        ((0.55, 0.12, 0.4), 1.5, ObstacleClass.ANIMAL), ((0.55, 0.12, 0.4), 5.0, ObstacleClass.ANIMAL),  # a dog
-        ((0.55, 0.12, 0.4), 0.0, ObstacleClass.UNKNOWN),  # a tuft, a stone
-        ((2.5, 0.12, 0.4), 1.5, ObstacleClass.UNKNOWN),  # a part of a fence that appears to move
+        ((0.45, 0.1, 0.3), 1.5, ObstacleClass.ANIMAL), ((0.45, 0.1, 0.3), 5.0, ObstacleClass.ANIMAL),  # a dog
+        ((0.45, 0.1, 0.3), 0.0, ObstacleClass.UNKNOWN),  # a tuft, a stone
+        ((3.2, 0.1, 0.4), 1.5, ObstacleClass.UNKNOWN),  # a part of a fence that appears to move
         ((1.86, 0.96, 0.96), 0.0, ObstacleClass.VEHICLE),  # a quad bike, seen without its handlebar
         ((1.9, 1.05, 1.2), 3.0, ObstacleClass.VEHICLE),
         ((2.2, 0.75, 1.4), 0.0, ObstacleClass.ANIMAL),  # a cow
