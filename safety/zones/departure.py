@@ -7,10 +7,11 @@ all the time is not who left. Who was lost stays where they were while another p
 """
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import Float64
+from geometry.arrays import Bool, Float64
 from geometry.pose2 import from_frame
 from safety.config import DepartureConfig
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
@@ -20,80 +21,119 @@ STILL_M = 0.15  # within which a return in the next scans is of the same thing
 BESIDE_NS, AGO_NS = 1_000_000_000, 300_000_000
 
 
+@dataclass(eq=False)
+class _Body:
+    """Returns (N, 2) in odom that blocked the area last, of one body or some side by side, and when first and last.
+
+    `is_ahead`: not seen leaving the area; `beside`: what was beside the area while this blocked it.
+    """
+
+    points_odom_m: Float64
+    first_ns: int
+    last_ns: int
+    is_near: bool
+    beside: deque[tuple[int, Float64]]
+    is_ahead: bool = True
+    is_out_of_sight: bool = False
+
+    def stood_beside(self) -> Float64:
+        """What was beside the area some time before it was last blocked: who leaves was not there yet."""
+        before_ns = self.last_ns - AGO_NS
+        return np.concatenate([NOWHERE, *(points for seen_ns, points in self.beside if seen_ns <= before_ns)])
+
+
 class Departure:
-    """Follows the returns (N, 2) in odom that last blocked the swept area."""
+    """Follows the returns (N, 2) in odom that last blocked the swept area, each body by itself."""
 
     def __init__(self, config: DepartureConfig) -> None:
         self._config = config
-        self._last_seen_odom_m: Float64 = NOWHERE
-        self._beside: deque[tuple[int, Float64]] = deque()  # what was beside the area while it was blocked
-        self._span_ns, self._is_near, self._is_ahead = (0, 0), False, False
-        self._is_out_of_sight = False
+        self._bodies: list[_Body] = []
 
     @property
     def is_unresolved(self) -> bool:
         """Whether what blocked the swept area, seen for long enough, has not been seen leaving it."""
-        return self.is_kept and self._is_ahead
+        return any(body.is_ahead and self._is_kept(body) for body in self._bodies)
 
     @property
     def is_lost(self) -> bool:
         """The same, and it is not seen in the area now."""
-        return self.is_unresolved and self._is_out_of_sight
+        return any(body.is_out_of_sight and body.is_ahead and self._is_kept(body) for body in self._bodies)
 
     @property
     def is_kept(self) -> bool:
         """The same, though another path may not lead there."""
-        first_ns, last_ns = self._span_ns
-        return len(self._last_seen_odom_m) > 0 and last_ns - first_ns >= self._seen_ns
+        return any(self._is_kept(body) for body in self._bodies)
 
-    @property
-    def _seen_ns(self) -> int:
-        return round((self._config.seen_near_s if self._is_near else self._config.seen_s) * 1e9)
+    def _is_kept(self, body: _Body) -> bool:
+        return body.last_ns - body.first_ns >= self._seen_ns(body)
+
+    def _seen_ns(self, body: _Body) -> int:
+        return round((self._config.seen_near_s if body.is_near else self._config.seen_s) * 1e9)
 
     def forget(self) -> None:
         """An operator has confirmed that nobody is near the machine."""
-        self._last_seen_odom_m = NOWHERE
+        self._bodies = []
 
     def update(self, hits_odom_m: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> None:
         """Takes the present hits (N, 2), for base at `pose_odom` (3,)."""
         distance_m = self._distance_m(hits_odom_m, area, pose_odom, 0.0)
-        blocking = hits_odom_m[distance_m <= self._config.ahead_m]
-        if len(blocking):
-            first_ns, last_ns = self._span_ns
-            is_new = not self.is_kept and now_ns - last_ns > self._seen_ns
-            beside = hits_odom_m[distance_m > self._config.ahead_m]
-            self._note_beside(beside[is_in_box(beside, blocking, 2.0 * self._config.follow_m)], now_ns)
-            self._last_seen_odom_m, self._span_ns = blocking, (now_ns if is_new else first_ns, now_ns)
-            self._is_ahead, self._is_out_of_sight = True, False
-            self._is_near = bool(distance_m.min() <= self._config.near_m) or (self._is_near and not is_new)
-        elif self.is_kept:
-            followed = hits_odom_m[is_near(hits_odom_m, self._last_seen_odom_m, self._config.follow_m)]
-            beside = self._stood_beside()
-            if len(followed) and len(beside):
-                followed = followed[~is_near(followed, beside, STILL_M)]
-            if len(followed):
-                self._last_seen_odom_m = followed
-            gap_m = self._distance_m(self._last_seen_odom_m, area, pose_odom, self._config.away_m)
-            self._is_ahead = bool((gap_m <= self._config.ahead_m).any())
-            self._is_out_of_sight = now_ns - self._span_ns[1] >= self._config.seen_s * 1e9
-            is_far = np.hypot(*(self._last_seen_odom_m - pose_odom[:2]).T).min() > self._config.kept_m
-            if is_far or (len(followed) and not self._is_ahead):
-                self._last_seen_odom_m = NOWHERE
+        is_blocking = distance_m <= self._config.ahead_m
+        blocking, beside = hits_odom_m[is_blocking], hits_odom_m[~is_blocking]
+        seen: list[_Body] = []
+        others = self._bodies
+        for group in groups_of(blocking, self._config.follow_m):
+            is_before = [
+                bool(is_near(blocking[group], one.points_odom_m, self._config.follow_m).any()) for one in self._bodies
+            ]
+            before = [one for one, found in zip(self._bodies, is_before, strict=True) if found]
+            others = [one for one in others if one not in before]
+            near_m = float(distance_m[is_blocking][group].min())
+            seen.append(self._seen(blocking[group], near_m, before, beside, now_ns))
+        self._bodies = seen + [one for one in others if not self._has_gone(one, beside, area, pose_odom, now_ns)]
 
-    def _note_beside(self, points_odom_m: Float64, now_ns: int) -> None:
-        self._beside.append((now_ns, points_odom_m))
-        while not 0 <= now_ns - self._beside[0][0] <= BESIDE_NS:
-            self._beside.popleft()
+    def _seen(self, points_odom_m: Float64, near_m: float, before: list[_Body], beside: Float64, now_ns: int) -> _Body:
+        """A body that blocks the area now, and `before` it did, or was near there."""
+        since = [one for one in before if self._is_kept(one) or now_ns - one.last_ns <= self._seen_ns(one)]
+        first_ns = min((one.first_ns for one in since), default=now_ns)
+        is_close = near_m <= self._config.near_m or any(one.is_near for one in since)
+        stood = deque(since[0].beside if since else ())
+        stood.append((now_ns, beside[is_in_box(beside, points_odom_m, 2.0 * self._config.follow_m)]))
+        while not 0 <= now_ns - stood[0][0] <= BESIDE_NS:
+            stood.popleft()
+        return _Body(points_odom_m, first_ns, now_ns, is_close, stood)
 
-    def _stood_beside(self) -> Float64:
-        """What was beside the area some time before it was last blocked: who leaves was not there yet."""
-        before_ns = self._span_ns[1] - AGO_NS
-        return np.concatenate([NOWHERE, *(points for seen_ns, points in self._beside if seen_ns <= before_ns)])
+    def _has_gone(self, body: _Body, beside: Float64, area: SweptArea, pose_odom: Float64, now_ns: int) -> bool:
+        """Whether one that is not seen in the area was seen leaving it, is far behind, or was no body."""
+        if not self._is_kept(body):
+            return not 0 <= now_ns - body.last_ns <= self._seen_ns(body)
+        followed, stood = beside[is_near(beside, body.points_odom_m, self._config.follow_m)], body.stood_beside()
+        if len(followed) and len(stood):
+            followed = followed[~is_near(followed, stood, STILL_M)]
+        if len(followed):
+            body.points_odom_m = followed
+        gap_m = self._distance_m(body.points_odom_m, area, pose_odom, self._config.away_m)
+        body.is_ahead = bool((gap_m <= self._config.ahead_m).any())
+        body.is_out_of_sight = now_ns - body.last_ns >= self._config.seen_s * 1e9
+        is_far = np.hypot(*(body.points_odom_m - pose_odom[:2]).T).min() > self._config.kept_m
+        return bool(is_far or (len(followed) and not body.is_ahead))
 
     @staticmethod
     def _distance_m(points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> Float64:
         """Distance to each point (N, 2) along the area widened by `aside_m` on each side, (N,), infinite beside it."""
         return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
+
+
+def groups_of(points_m: Float64, within_m: float) -> list[Bool]:
+    """Masks (N,) of the parts of points (N, 2) that are farther than about `within_m` from each other."""
+    cells, cell = np.unique(np.floor(2.0 / within_m * points_m), axis=0, return_inverse=True)
+    is_next = np.abs(cells[:, None] - cells[None]).max(axis=2, initial=0.0) <= 1.0
+    part = np.arange(len(cells))
+    for _ in range(len(cells)):
+        lowest = np.where(is_next, part, len(cells)).min(axis=1, initial=len(cells))
+        if (lowest == part).all():
+            break
+        part = lowest
+    return [part[cell.ravel()] == number for number in np.unique(part)]
 
 
 def is_in_box(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from configs.vehicle import MountedImplement, Vehicle
 from geometry.arrays import Float64
 from messages.command import Mode, OperatorCommandKind
 from safety.supervisor_config import SupervisorConfig
-from safety.zones.departure import Departure, is_near
+from safety.zones.departure import Departure, groups_of, is_near
 from safety.zones.footprint import footprint_of
 from safety.zones.protective_field import sweep_field
 from safety.zones.swept_area import SweptArea
@@ -107,6 +107,46 @@ def test_returns_that_vanish_at_once_are_no_body(departure: Clocked, area: Swept
         assert not departure.is_unresolved
     departure.see(hits((6.0, 0.0)), area, scans=4)
     assert departure.is_unresolved
+
+
+@clause("BD-5.2.4")
+def test_one_of_two_who_is_lost_stays_when_the_other_walks_out(departure: Clocked, area: SweptArea) -> None:
+    child, adult = (5.0, -2.0), (6.0, 1.0)
+    departure.see(hits(child, adult), area, scans=4)
+    departure.see(hits(adult), area, scans=4)
+    assert departure.is_lost
+    for k in range(40):
+        departure.see(hits((6.0, 1.0 + 0.12 * k)), area)
+    assert departure.is_lost
+    departure.forget()
+    departure.see(hits(child, adult), area, scans=4)
+    for k in range(40):
+        departure.see(hits((5.0, -2.0 - 0.12 * k), (6.0, 1.0 + 0.12 * k)), area)
+    assert not departure.is_unresolved
+
+
+def test_two_who_part_are_two(departure: Clocked, area: SweptArea) -> None:
+    for k in range(20):
+        departure.see(hits((6.0, -0.1 * k), (6.0, 0.1 * k)), area)
+    departure.see(hits((6.0, 2.0)), area, scans=4)
+    assert departure.is_lost
+    for k in range(30):
+        departure.see(hits((6.0, 2.0 + 0.12 * k)), area)
+    assert departure.is_lost
+
+
+def test_returns_of_a_scan_here_and_there_are_no_body(departure: Clocked, area: SweptArea) -> None:
+    """Clutter that blocks all the time, in each scan elsewhere."""
+    for k in range(30):
+        departure.see(hits((5.0 + 2.5 * (k % 2), 3.0 * (k % 3 - 1))), area)
+    departure.see(hits(), area, scans=5)
+    assert not departure.is_unresolved
+
+
+def test_groups() -> None:
+    points = hits((0.0, 0.0), (0.4, 0.0), (0.9, 0.3), (4.0, 0.0), (-3.0, 0.2), (4.0, 0.4))
+    assert [np.flatnonzero(group).tolist() for group in groups_of(points, 1.0)] == [[4], [0, 1, 2], [3, 5]]
+    assert groups_of(hits(), 1.0) == []
 
 
 def test_is_near() -> None:
