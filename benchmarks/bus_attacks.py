@@ -130,8 +130,9 @@ def forged(rig: OrderRig, good: bytes, random: np.random.Generator) -> bytes:
 
 
 def replayed(rig: OrderRig, good: bytes, random: np.random.Generator) -> bytes:
-    """An order that was accepted once, an older one, or one that has expired."""
-    return [good, rig.earlier(random), rig.signed(expires_ns=rig.now_ns - 1)][int(random.integers(3))]
+    """An order that was accepted once, an older one, one that has expired, or one that was held back."""
+    late = rig.signed(signed_ns=rig.now_ns - 4 * 10**9)
+    return [good, rig.earlier(random), rig.signed(expires_ns=rig.now_ns - 1), late][int(random.integers(4))]
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
