@@ -11,7 +11,7 @@ UNKNOWN_WEIGHT = 0.25  # score of `UNKNOWN` against a perfect match of 1
 # class: (height, length, width), each a trapezoid (zero below, one from, one to, zero above) in metres. Covers standing
 # to crouched adults and children; hare to cow; quad bike to lorry; post to trunk; heaps of soil.
 SHAPES: dict[ObstacleClass, tuple[tuple[float, float, float, float], ...]] = {
-    ObstacleClass.PERSON: ((0.6, 1.1, 2.0, 2.3), (0.05, 0.2, 1.1, 1.9), (0.0, 0.1, 0.8, 1.1)),
+    ObstacleClass.PERSON: ((0.55, 0.9, 2.0, 2.3), (0.05, 0.15, 1.1, 1.9), (0.0, 0.1, 0.8, 1.1)),
     ObstacleClass.ANIMAL: ((0.2, 0.4, 1.3, 1.7), (0.3, 0.7, 2.2, 3.0), (0.05, 0.15, 0.8, 1.05)),
     ObstacleClass.VEHICLE: ((0.7, 1.0, 3.6, 4.5), (1.3, 1.8, 12.0, 20.0), (0.3, 1.0, 3.2, 4.0)),
     ObstacleClass.POLE: ((0.8, 1.3, 9.0, 20.0), (0.0, 0.05, 0.35, 0.5), (0.0, 0.05, 0.3, 0.5)),
