@@ -334,9 +334,11 @@ def test_cyclist_is_a_person(size_m, speed_mps, is_person):
         ((1.9, 1.05, 1.2), 3.0, ObstacleClass.VEHICLE),
         ((2.2, 0.75, 1.4), 0.0, ObstacleClass.ANIMAL),  # a cow
         ((3.0, 2.0, 0.6), 0.0, ObstacleClass.MOUND),
+        ((0.15, 0.1, 0.9), 0.0, ObstacleClass.PERSON),  # a child, seen narrowly
+        ((0.1, 0.1, 1.2), 0.0, ObstacleClass.POLE),
     ],
 )  # fmt: skip
-def test_class_of_small_runners_and_small_vehicles(size_m, speed_mps, label):
+def test_class_of_shape(size_m, speed_mps, label):
     scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
     scans = [
         replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.3]], sizes=size_m), class_scores=scores)
