@@ -357,6 +357,12 @@ def _check_lane(connector: PathConnector, lane: Leg) -> None:
             f"the lane turns with a radius of {sharpest_m:.1f} m at {where}, the rig needs {radius_m:.1f} m: "
             "draw its corners further apart or less sharp"
         )
+    drivable, (x, y) = connector.drivable, map(float, lane.p_map_m[-1])
+    if drivable.whole.contains(Point(x, y)) and not drivable.free.contains(Point(x, y)):
+        raise FieldError(
+            f"the lane ends at {describe(drivable.site, x, y)}, within a margin along the outline: draw it further "
+            "into the field, or set a smaller margin there"
+        )
     for leg in (lane, lane.back):
         outside = connector.space.touching(leg.p_map_m, leg.heading_rad)
         if outside.any():

@@ -15,7 +15,7 @@ from configs.vehicle import Implement, Vehicle
 from geometry.arrays import Float64
 from geometry.polygon import as_polygon, grow, polygon_of, shrink
 from messages.errors import FieldError
-from planning.field.drivable_area import wide_parts
+from planning.field.drivable_area import kept_off, wide_parts
 from planning.field.field import FieldOutline
 
 LANE_M = 25.0
@@ -25,7 +25,10 @@ IN_YARD_M = 4.0  # length of a lane there
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
-START_M, BEHIND_M = 8.0, 1.0  # of the start before the far side of the yard, at least, and free behind the rig
+START_M, BEHIND_M = (
+    8.0,
+    1.0,
+)  # of the start before the far side of the yard, at least, and beyond the margin behind the rig
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
 SPARE_M = 0.1  # at the start, beyond the margin to the edge
 CENTRE_ERROR_M = 0.1
@@ -65,8 +68,9 @@ def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implemen
 
 
 def _room(outline: FieldOutline, half_m: float, work: Work) -> BaseGeometry:
-    """The largest part of the field, less the margin, without a passage too narrow for a rig 2 `half_m` wide."""
-    free = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
+    """The largest part of the field, less the margins, without a passage too narrow for a rig 2 `half_m` wide."""
+    wide_margins = kept_off(outline.polygon, work.margins, work.boundary_margin_m)
+    free = outline.polygon.difference(shapely.union_all([wide_margins, *(area for _, area in outline.no_go)]))
     inner = shrink(free, work.boundary_margin_m + SPARE_M)
     wide = wide_parts(inner, 2.0 * half_m)
     if len(wide) < 2:
@@ -78,18 +82,27 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     """Site of a bare field with a gate, None when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
-    room = _room(outline, _extent(vehicle, implement)[2], work)
+    rear_m, _, half_m = _extent(vehicle, implement)
+    start_m = max(START_M, BEHIND_M + work.boundary_margin_m - rear_m)
+    room = _room(outline, half_m, work)
     drawn = _from_the_field(outline.polygon, np.array(work.lane_m)) if work.lane_m else np.empty((0, 2))
     chosen_m = (float(drawn[0, 0]), float(drawn[0, 1])) if len(drawn) else work.gate_m
     for a, b, share in _gate_places(outline.polygon, chosen_m, gate_m):
         if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
             continue
-        start_m = max(START_M, BEHIND_M - _extent(vehicle, implement)[0])
-        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m, drawn, start_m)
+        middle, along = a + share * (b - a), (b - a) / np.hypot(*(b - a))
+        site = _site(outline, middle, along, gate_m, drawn, start_m, _depth_m(outline, work, middle, along))
         is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
         if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
             return site
     return None
+
+
+def _depth_m(outline: FieldOutline, work: Work, middle: Float64, along: Float64) -> float:
+    """Distance from a point of an edge, straight inwards, at which the larger margins there end."""
+    beyond = middle + outline.polygon.length * np.array([-along[1], along[0]])
+    wide_margins = grow(kept_off(outline.polygon, work.margins, work.boundary_margin_m), SPARE_M)
+    return float(LineString([middle, beyond]).difference(wide_margins).distance(shapely.Point(middle)))
 
 
 def _from_the_field(polygon: Polygon, drawn_m: Float64) -> Float64:
@@ -183,11 +196,12 @@ def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
 
 
 def _site(
-    outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64, start_m: float
-) -> Site:
+    outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64, start_m: float,
+    depth_m: float,
+) -> Site:  # fmt: skip
     """Site with a gate at the middle of an edge, and a straight lane or a drawn one (N, 2), away from the field.
 
-    The start is `start_m` before the far side of the yard.
+    The start is `start_m` before the far side of the yard; the lane ends within the field beyond a margin of `depth_m`.
     """
     out = np.array([along[1], -along[0]])  # the field is left of its edge
 
@@ -204,7 +218,7 @@ def _site(
     far = near + YARD_DEPTH_M
     start = at(end, 0.0, aside, far - start_m, ahead)
     corners = ((-wide, near), (-wide, far), (wide, far), (wide, near))
-    points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - INTO_FIELD_M * out)]
+    points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - (depth_m + INTO_FIELD_M) * out)]
     return Site(
         name=outline.name,
         version=1,
@@ -245,7 +259,7 @@ def _is_clear(site: Site, field: Polygon) -> bool:
     full = Polygon(field.exterior)
     *others, end = (np.array(p) for p in site.lanes[0].center_m)
     inwards = (end - others[-1]) / np.hypot(*(end - others[-1]))
-    edge = end - inwards * INTO_FIELD_M
+    edge = np.mean(site.gates[0].posts_m, axis=0) + POSTS_OUT_M * inwards
     outside = LineString([*others, edge - inwards * 0.5])
     corridor = outside.buffer(site.lanes[0].width_m / 2.0, cap_style="flat")
     inside = LineString([edge, end]).buffer(site.lanes[0].width_m / 2.0 - 0.05, cap_style="flat")
