@@ -97,7 +97,7 @@ class Rig:
         return max(self.config.min_swath_m, run_in_m(self.trailer.drawbar, self.tolerance_rad, last_rad))
 
     def headland_passes(self, work: Work) -> int:
-        """Number of headland passes: that of the mission, or more where turns forwards at ends of swaths need the depth."""
+        """Number of headland passes: that of the mission, or more where turns forwards beside swaths need it."""
         if self.has_reverse:
             return work.headland_passes
         if self.trailer is None:
