@@ -69,11 +69,16 @@ def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implemen
     return _start_at(outline, centre, along, extent, room)
 
 
-def _room(outline: FieldOutline, half_m: float, work: Work, is_largest: bool = True) -> BaseGeometry:
-    """The field less the margins, without passages too narrow for a rig 2 `half_m` wide: the largest part, or all."""
+def _inner(outline: FieldOutline, work: Work) -> BaseGeometry:
+    """The field less its margins and areas to keep out of."""
     wide_margins = kept_off(outline.polygon, work.margins, work.boundary_margin_m)
     free = outline.polygon.difference(shapely.union_all([wide_margins, *(area for _, area in outline.no_go)]))
-    inner = shrink(free, work.boundary_margin_m + SPARE_M)
+    return shrink(free, work.boundary_margin_m + SPARE_M)
+
+
+def _room(outline: FieldOutline, half_m: float, work: Work, is_largest: bool = True) -> BaseGeometry:
+    """The field less the margins, without passages too narrow for a rig 2 `half_m` wide: the largest part, or all."""
+    inner = _inner(outline, work)
     wide = wide_parts(inner, 2.0 * half_m)
     if len(wide) < 2:
         return inner
@@ -85,17 +90,24 @@ def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, w
     """Site of a bare field with a gate, None when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
-    rear_m, _, half_m = _extent(vehicle, implement)
+    rear_m, front_m, half_m = _extent(vehicle, implement)
     start_m = max(START_M, BEHIND_M + work.boundary_margin_m - rear_m)
     drawn = _from_the_field(outline.polygon, np.array(work.lane_m)) if work.lane_m else np.empty((0, 2))
     chosen_m = (float(drawn[0, 0]), float(drawn[0, 1])) if len(drawn) else work.gate_m
-    room = _room(outline, half_m, work, is_largest=chosen_m is None)
+    inner, room = _inner(outline, work), _room(outline, half_m, work, is_largest=chosen_m is None)
     for middle, along in _gate_places(outline.polygon, chosen_m, gate_m):
         site = _site(outline, middle, along, gate_m, drawn, start_m, _depth_m(outline, work, middle, along))
-        is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
+        is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1])) and inner.covers(_at_end(site, front_m, half_m))
         if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
             return site
     return None
+
+
+def _at_end(site: Site, front_m: float, half_m: float) -> Polygon:
+    """Ground of a machine at the end of the lane of a site, from there to its front."""
+    before, end = (np.array(p) for p in site.lanes[0].center_m[-2:])
+    ahead = (end - before) / np.hypot(*(end - before))
+    return as_polygon(LineString([end, end + front_m * ahead]).buffer(half_m, cap_style="flat"))
 
 
 def _depth_m(outline: FieldOutline, work: Work, middle: Float64, along: Float64) -> float:

@@ -158,6 +158,18 @@ def test_a_gate_anywhere_on_the_outline(
     assert plan.planned_share > 0.9
 
 
+def test_no_gate_where_the_machine_has_no_room_behind_it(
+    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """The edge opposite is nearer than the front of the machine at the end of the lane."""
+    assert mission.work is not None
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
+    site = site_of(FieldOutline("strip", datum, box(0.0, 0.0, 90.0, 9.0)), vehicle, harrow, work)
+    assert site.lanes == ()
+    assert plan_field(site, vehicle, harrow, work, planning.planner, 0).planned_share > 0.8
+
+
 LANE = ((35.0, 0.0), (35.0, -22.0), (62.0, -40.0))  # from the lower edge, then to the right
 
 
