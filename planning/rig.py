@@ -97,10 +97,14 @@ class Rig:
         return max(self.config.min_swath_m, run_in_m(self.trailer.drawbar, self.tolerance_rad, last_rad))
 
     def headland_passes(self, work: Work) -> int:
-        """Number of headland passes: that of the mission, or more where a trailed implement turns and is lined up."""
-        if self.trailer is None:
+        """Number of headland passes: that of the mission, or more where turns forwards beside swaths need it."""
+        if self.has_reverse:
             return work.headland_passes
-        depth_m = self.line_up_m + self.working_x_m + self.radius_m + 0.5 * self.width_m
+        if self.trailer is None:
+            out_m = self.config.run_out_m - self.working_x_m, self.config.line_up_m + self.working_x_m
+            depth_m = max(out_m) + corner_reach_m(self)
+        else:
+            depth_m = self.line_up_m + self.working_x_m + self.radius_m + 0.5 * self.width_m
         return max(work.headland_passes, math.ceil(depth_m / max(self.working_width_m - work.overlap_m, 0.1)))
 
     def space(self, allowed: BaseGeometry, wider_m: float = 0.0) -> FreeSpace:

@@ -58,7 +58,7 @@ def drive_passes(
     """Drives closed passes, from each to the one inside it first; `goals` are poses to which the rig drives later.
 
     A pass along the edge is left before a corner, in one, or by a departure: elsewhere the tail would swing over the
-    edge. One that cannot be left for another pass or a goal is not driven, except without goals (None).
+    edge. One that cannot be left for another pass or a goal is not driven, except without goals (None) the last one.
     """
     left = [(ring, _entries(ring, connector.rig.radius_m)) for ring in rings]
     for ring, entries in left:
@@ -67,12 +67,14 @@ def drive_passes(
         elif ring.number == 0 and not connector.rig.has_reverse:
             entries += _departing(connector, entries)
     pieces: list[RoutePiece] = []
-    last, number = _Entry(0, start, start), 0
-    while number < len(left):
+    last, number, is_last = _Entry(0, start, start), 0, False
+    while number < len(left) or (goals is None and left and not is_last):
+        if number == len(left):
+            number, is_last = 0, True
         ring, entries = left[number]
         following = left[number + 1] if number + 1 < len(left) else None
         entered = [e.start for other, them in left if other is not ring for e in them]
-        others = None if goals is None else [*goals, *entered]
+        others = None if goals is None and (is_last or not entered) else [*(goals or ()), *entered]
         best = _best(connector, last, ring, entries, following, others)
         if best is None:
             number += 1
@@ -83,7 +85,7 @@ def drive_passes(
         pieces += [*turn_pieces(connection, ring.number), first, *more]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
-        number = 0  # those that were not reached before may be now
+        number, is_last = 0, False  # those that were not reached before may be now
     return PassDrive(pieces, last.end, [ring for ring, _ in left])
 
 

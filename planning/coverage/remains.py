@@ -5,7 +5,7 @@ one that works most of the bare area. Beside an edge the rig is free on lines ex
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from itertools import islice
@@ -30,6 +30,7 @@ ENOUGH = 4.0, 0.1, 0.2, 10.0  # least area in m² and in squared working widths,
 SHORT = 2.0, 0.03, 0.08, 30.0
 MAX_SWATHS = 6  # over one part
 MAX_OFFERS, DIFFERING_M = 6, 0.08
+ALIKE = 0.9  # of what the better direction of a swath works
 SIMPLER_M = 0.02
 
 
@@ -102,23 +103,37 @@ def _best_first(
             yield swath, gain_m2
             continue
         strip, more = strips[k]
-        for near in _swaths_near(strip, rig, space):
-            worked = strip_of(near, width_m)
-            gain_m2 = float(left.intersection(worked).area)
+        for near, worked, gain_m2 in _ways(_swaths_near(strip, rig, space), left, width_m):
             if gain_m2 > more * worth.least_m2 and gain_m2 > worth.least_share * worked.area:
                 heappush(queue, (-round(gain_m2 / more, 3), count, near, gain_m2))
                 count += 1
 
 
+def _ways(swaths: Sequence[Swath], left: BaseGeometry, width_m: float) -> Iterator[tuple[Swath, Polygon, float]]:
+    """Swaths with the area each works, and what of an area that is, m².
+
+    The two directions of a swath are offered apart where one works much less than the other.
+    """
+    for swath in swaths:
+        ways = [replace(swath, back_m=None)] if swath.onwards_m is not None else []
+        ways += [replace(swath, onwards_m=None)] if swath.back_m is not None else []
+        areas = [strip_of(way, width_m) for way in ways]
+        gains_m2 = [float(left.intersection(area).area) for area in areas]
+        if min(gains_m2) > ALIKE * max(gains_m2):
+            ways, areas, gains_m2 = [swath], areas[:1], [min(gains_m2)]
+        yield from zip(ways, areas, gains_m2, strict=True)
+
+
 def _differing(offers: Iterable[tuple[Swath, float]]) -> Iterator[tuple[Swath, float]]:
-    """Those that differ from each before in direction or by some distance."""
+    """Those that differ from each before in direction, or by some distance."""
     seen = list[Float64]()
     for swath, gain_m2 in offers:
         ends = swath.onwards_m if swath.onwards_m is not None else swath.back_m
         assert ends is not None
         along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
         across = np.array([-along[1], along[0]])
-        if not any(np.abs((other - ends[0]) @ across).max() < DIFFERING_M for other in seen):
+        same = (other for other in seen if (other[1] - other[0]) @ along > 0.0)
+        if not any(np.abs((other - ends[0]) @ across).max() < DIFFERING_M for other in same):
             seen.append(ends)
             yield swath, gain_m2
 

@@ -132,43 +132,67 @@ def _worked(region: Region, start: Pose2, home: Pose2 | None, work: Work, number
 
 
 def _worked_last(region: Region, start: Pose2, home: Pose2 | None, work: Work, number: int) -> tuple[Tour, Route]:
-    """Swaths and open passes, then the closed passes, then those of them that were not reached; the last tour."""
-    connector = region.connector
-    lines = _lines(connector, region.swaths, [])
-    closed = [p for p in connector.headland_passes if p.is_closed]
-    tour, onto = _drive_to(connector, start, lines, closed, home, work)
-    tour, found = _filled_route(connector, onto, tour, work, closed, number)
-    return _passes_after(connector, tour, found, closed, home, work)
+    """Swaths, then the closed passes, then the open ones and those that were not reached; the last tour."""
+    connector, passes = region.connector, region.connector.headland_passes
+    lines = [line for line in _lines(connector, region.swaths, []) if not isinstance(line.source, HeadlandPass)]
+    tour, onto = _drive_to(connector, start, lines, passes, home, work)
+    tour, found = _filled_route(connector, onto, tour, work, passes, number)
+    return _passes_after(connector, tour, found, passes, home, work)
 
 
 def _passes_after(
-    connector: PathConnector, tour: Tour, found: Route, rings: Sequence[HeadlandPass], home: Pose2 | None, work: Work
+    connector: PathConnector, tour: Tour, found: Route, passes: Sequence[HeadlandPass], home: Pose2 | None, work: Work
 ) -> tuple[Tour, Route]:
-    """Closed passes after a tour, then those of them that were not reached; the last tour."""
+    """Closed passes after a tour, then the open ones and those that were not reached; the last tour."""
+    rings, others = [p for p in passes if p.is_closed], [p for p in passes if not p.is_closed]
     headland = drive_passes(connector, tour.place(len(tour.stops))[0], None if home is None else [home], rings)
-    left = lines_of((), [opened(ring, connector, [headland.end]) for ring in headland.missed], 0.0)
+    left = lines_of((), [*others, *(opened(ring, connector, [headland.end]) for ring in headland.missed)], 0.0)
     after = drive_lines(connector, headland.end, home, left, work)
-    passes = [p for p in found.headland_passes if not any(p is m for m in headland.missed)]
+    bare = [*others, *headland.missed]
+    worked = [p for p in found.headland_passes if not any(p is b for b in bare)]
     late = [s.line.source for s in after.stops if isinstance(s.line.source, HeadlandPass)]
     pieces = [*found.pieces, *headland.pieces, *after.pieces]
-    return after, Route(pieces, found.swaths, [*passes, *late], found.moved)
+    return after, Route(pieces, found.swaths, [*worked, *late], found.moved)
 
 
 def _drive_to(
-    connector: PathConnector, start: Pose2, lines: Sequence[WorkLine], closed: Sequence[HeadlandPass],
+    connector: PathConnector, start: Pose2, lines: Sequence[WorkLine], passes: Sequence[HeadlandPass],
     home: Pose2 | None, work: Work,
 ) -> tuple[Tour, Pose2 | None]:  # fmt: skip
-    """The tour over most lines of those from whose end a closed pass, the innermost first, is reached; and where."""
-    near = home if home is not None else start
-    poses = [pose for ring in reversed(closed) for pose in places_on(ring, connector.rig.radius_m, near)[:PLACES]]
-    best: tuple[Tour, Pose2 | None] | None = None
-    for onto in poses:
-        tour = drive_lines(connector, start, onto, lines, work)
-        if best is None or len(tour.stops) > len(best[0].stops):
-            best = tour, onto
-        if len(tour.stops) == len(lines):
-            break
-    return best if best is not None else (drive_lines(connector, start, home, lines, work), home)
+    """A tour over lines from whose end a pass is reached, and where.
+
+    It is the one that ends anywhere, up to the last line from which a pass is reached, or one to that pass if that has
+    more lines.
+    """
+    free = drive_lines(connector, start, None, lines, work)
+    places = ((count, free.place(count)[0]) for count in range(len(free.stops), -1, -1))
+    found = ((count, onto) for count, end in places if (onto := _reached_pass(connector, passes, end)) is not None)
+    count, onto = next(found, (0, home))
+    if count == len(free.stops):
+        return free, onto
+    tours = replace(free, stops=free.stops[:count]), drive_lines(connector, start, onto, lines, work)
+    return max(tours, key=lambda tour: len(tour.stops)), onto
+
+
+def _reached_pass(connector: PathConnector, passes: Sequence[HeadlandPass], end: Pose2) -> Pose2 | None:
+    """Where a pass begins to which a turn leads from a pose, else a way along the passes to one of the nearest."""
+    requests = [connector.request(end, pose) for pose in _beginnings(connector, passes, end)]
+    near = sorted(requests, key=lambda r: round(math.hypot(r.goal.x_m - end.x_m, r.goal.y_m - end.y_m), 3))
+    reached = next((r for r in requests if connector.turn(r) is not None), None)
+    reached = reached or next((r for r in near[:PLACES] if connector.along(r) is not None), None)
+    return None if reached is None else reached.goal
+
+
+def _beginnings(connector: PathConnector, passes: Sequence[HeadlandPass], near: Pose2) -> list[Pose2]:
+    """Poses where drives over passes may begin, those of the innermost first, of each the nearest to a place first."""
+    found = list[Pose2]()
+    for one in reversed(passes):
+        if one.is_closed:
+            found += places_on(one, connector.rig.radius_m, near)[:PLACES]
+        else:
+            (line,) = lines_of((), [one], 0.0)
+            found += [ends[0] for is_reversed in (False, True) if (ends := line.ends(is_reversed)) is not None]
+    return found
 
 
 def _filled_route(
@@ -356,6 +380,12 @@ def _check_lane(connector: PathConnector, lane: Leg) -> None:
         raise FieldError(
             f"the lane turns with a radius of {sharpest_m:.1f} m at {where}, the rig needs {radius_m:.1f} m: "
             "draw its corners further apart or less sharp"
+        )
+    drivable, (x, y) = connector.drivable, map(float, lane.p_map_m[-1])
+    if drivable.whole.contains(Point(x, y)) and not drivable.free.contains(Point(x, y)):
+        raise FieldError(
+            f"the lane ends at {describe(drivable.site, x, y)}, within a margin along the outline: draw it further "
+            "into the field, or set a smaller margin there"
         )
     for leg in (lane, lane.back):
         outside = connector.space.touching(leg.p_map_m, leg.heading_rad)

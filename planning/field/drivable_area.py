@@ -57,14 +57,19 @@ def drivable_area_of(
     ]
     fence = field.exterior.difference(_openings(site, lanes))
     whole = field.difference(no_go)
-    wide = [_stretch(field, e).buffer(e.margin_m - more_m, quad_segs=16) for e in edges if e.margin_m > more_m]
-    kept_off = shapely.union_all(wide).intersection(field).difference(shapely.union_all(lanes)) if wide else Polygon()
-    free = whole.difference(kept_off) if wide else whole
+    wide = kept_off(field, edges, more_m)
+    free = whole if wide.is_empty else whole.difference(wide)
     connector = shapely.union_all([free, *lanes, _area(site.yard.outline_m, "yard")]).difference(no_go)
     posts = shapely.MultiPoint([p for gate in site.gates for p in gate.posts_m]).buffer(POST_M + margin_m)
     allowed = shrink(connector, margin_m).difference(fence.buffer(max(margin_m, FENCE_M))).difference(posts)
     inner = shrink(free, margin_m).difference(posts)
     return DrivableArea(site, margin_m, field, whole, free, polygon_of(inner), polygon_of(allowed), fence)
+
+
+def kept_off(field: Polygon, edges: Sequence[EdgeMargin], margin_m: float) -> BaseGeometry:
+    """What the larger margins of `edges` add to one of `margin_m`; raises FieldError for one without length."""
+    wide = [_stretch(field, e).buffer(e.margin_m - margin_m, quad_segs=16) for e in edges if e.margin_m > margin_m]
+    return shapely.union_all(wide).intersection(field)
 
 
 def _stretch(field: Polygon, edge: EdgeMargin) -> LineString:

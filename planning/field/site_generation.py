@@ -15,7 +15,7 @@ from configs.vehicle import Implement, Vehicle
 from geometry.arrays import Float64
 from geometry.polygon import as_polygon, grow, polygon_of, shrink
 from messages.errors import FieldError
-from planning.field.drivable_area import wide_parts
+from planning.field.drivable_area import kept_off, wide_parts
 from planning.field.field import FieldOutline
 
 LANE_M = 25.0
@@ -25,10 +25,15 @@ IN_YARD_M = 4.0  # length of a lane there
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
-START_M, BEHIND_M = 8.0, 1.0  # of the start before the far side of the yard, at least, and free behind the rig
+START_M, BEHIND_M = (
+    8.0,
+    1.0,
+)  # of the start before the far side of the yard, at least, and beyond the margin behind the rig
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
 SPARE_M = 0.1  # at the start, beyond the margin to the edge
 CENTRE_ERROR_M = 0.1
+MOST_OFF_M, BESIDE_GATE = 25.0, 20  # along the outline from where a gate is chosen; points of it to either side
+RECESS_M = 3.0  # by which the outline in a gate may be inside of its line
 EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
 
 
@@ -64,32 +69,52 @@ def _site_at_centre(outline: FieldOutline, vehicle: Vehicle, implement: Implemen
     return _start_at(outline, centre, along, extent, room)
 
 
-def _room(outline: FieldOutline, half_m: float, work: Work) -> BaseGeometry:
-    """The largest part of the field, less the margin, without a passage too narrow for a rig 2 `half_m` wide."""
-    free = outline.polygon.difference(shapely.union_all([area for _, area in outline.no_go]))
-    inner = shrink(free, work.boundary_margin_m + SPARE_M)
+def _inner(outline: FieldOutline, work: Work) -> BaseGeometry:
+    """The field less its margins and areas to keep out of."""
+    wide_margins = kept_off(outline.polygon, work.margins, work.boundary_margin_m)
+    free = outline.polygon.difference(shapely.union_all([wide_margins, *(area for _, area in outline.no_go)]))
+    return shrink(free, work.boundary_margin_m + SPARE_M)
+
+
+def _room(outline: FieldOutline, half_m: float, work: Work, is_largest: bool = True) -> BaseGeometry:
+    """The field less the margins, without passages too narrow for a rig 2 `half_m` wide: the largest part, or all."""
+    inner = _inner(outline, work)
     wide = wide_parts(inner, 2.0 * half_m)
     if len(wide) < 2:
         return inner
-    return inner.intersection(grow(max(wide, key=lambda part: part.area), half_m))
+    kept = max(wide, key=lambda part: part.area) if is_largest else shapely.union_all(wide)
+    return inner.intersection(grow(kept, half_m))
 
 
 def site_around(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site | None:
     """Site of a bare field with a gate, None when no edge has room for gate and yard."""
     widest = max(vehicle.body.width_m, implement.width_m)
     gate_m = widest + 2.0 * work.boundary_margin_m + GATE_SPARE_M
-    room = _room(outline, _extent(vehicle, implement)[2], work)
+    rear_m, front_m, half_m = _extent(vehicle, implement)
+    start_m = max(START_M, BEHIND_M + work.boundary_margin_m - rear_m)
     drawn = _from_the_field(outline.polygon, np.array(work.lane_m)) if work.lane_m else np.empty((0, 2))
     chosen_m = (float(drawn[0, 0]), float(drawn[0, 1])) if len(drawn) else work.gate_m
-    for a, b, share in _gate_places(outline.polygon, chosen_m, gate_m):
-        if float(np.hypot(*(b - a))) * min(share, 1.0 - share) < gate_m:
-            continue
-        start_m = max(START_M, BEHIND_M - _extent(vehicle, implement)[0])
-        site = _site(outline, a + share * (b - a), (b - a) / np.hypot(*(b - a)), gate_m, drawn, start_m)
-        is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1]))
+    inner, room = _inner(outline, work), _room(outline, half_m, work, is_largest=chosen_m is None)
+    for middle, along in _gate_places(outline.polygon, chosen_m, gate_m):
+        site = _site(outline, middle, along, gate_m, drawn, start_m, _depth_m(outline, work, middle, along))
+        is_in = room.covers(shapely.Point(site.lanes[0].center_m[-1])) and inner.covers(_at_end(site, front_m, half_m))
         if is_in and _is_clear(site, outline.polygon) and not _meets_no_go(site, outline):
             return site
     return None
+
+
+def _at_end(site: Site, front_m: float, half_m: float) -> Polygon:
+    """Ground of a machine at the end of the lane of a site, from there to its front."""
+    before, end = (np.array(p) for p in site.lanes[0].center_m[-2:])
+    ahead = (end - before) / np.hypot(*(end - before))
+    return as_polygon(LineString([end, end + front_m * ahead]).buffer(half_m, cap_style="flat"))
+
+
+def _depth_m(outline: FieldOutline, work: Work, middle: Float64, along: Float64) -> float:
+    """Distance from a point of an edge, straight inwards, at which the larger margins there end."""
+    beyond = middle + outline.polygon.length * np.array([-along[1], along[0]])
+    wide_margins = grow(kept_off(outline.polygon, work.margins, work.boundary_margin_m), SPARE_M)
+    return float(LineString([middle, beyond]).difference(wide_margins).distance(shapely.Point(middle)))
 
 
 def _from_the_field(polygon: Polygon, drawn_m: Float64) -> Float64:
@@ -100,17 +125,25 @@ def _from_the_field(polygon: Polygon, drawn_m: Float64) -> Float64:
 
 def _gate_places(
     polygon: Polygon, chosen_m: tuple[float, float] | None, gate_m: float
-) -> Iterator[tuple[Float64, Float64, float]]:
-    """Edges (a, b) with the share of the middle of a gate: all possible ones, or that next to a point."""
-    edges = _edges(polygon)
+) -> Iterator[tuple[Float64, Float64]]:
+    """Middles of a gate and directions of the outline there: on long edges, or along the outline from next to a point.
+
+    Along the outline the direction is that of the chord over twice the width of the gate; that lies outside the field.
+    """
     if chosen_m is None:
-        yield from ((a, b, share) for a, b in edges for share in EDGE_SHARES)
+        for a, b in _edges(polygon):
+            length = float(np.hypot(*(b - a)))
+            yield from ((a + s * (b - a), (b - a) / length) for s in EDGE_SHARES if min(s, 1.0 - s) * length >= gate_m)
         return
-    point = shapely.Point(chosen_m)
-    a, b = min(edges, key=lambda edge: LineString(edge).distance(point))
-    length = float(np.hypot(*(b - a)))
-    at = float(LineString((a, b)).project(point))
-    yield a, b, min(max(at, gate_m + 1e-6), max(length - gate_m - 1e-6, 0.0)) / length  # not over a corner
+    ring = orient(polygon, 1.0).exterior
+    at_m, beside_m = ring.project(shapely.Point(chosen_m)), np.linspace(-gate_m, gate_m, 2 * BESIDE_GATE + 1)
+    for by_m in sorted(np.arange(-MOST_OFF_M, MOST_OFF_M + 1.0), key=abs):
+        points = shapely.get_coordinates(ring.interpolate((at_m + by_m + beside_m) % ring.length))
+        along = (points[-1] - points[0]) / np.hypot(*(points[-1] - points[0]))
+        away = np.array([along[1], -along[0]])
+        from_middle = points - points[BESIDE_GATE]
+        is_within = np.abs(from_middle @ along) < 0.5 * gate_m + POSTS_OUT_M
+        yield points[BESIDE_GATE] + (from_middle[is_within] @ away).max() * away, along
 
 
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
@@ -183,11 +216,12 @@ def _edges(polygon: Polygon) -> list[tuple[Float64, Float64]]:
 
 
 def _site(
-    outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64, start_m: float
-) -> Site:
+    outline: FieldOutline, middle: Float64, along: Float64, gate_m: float, drawn_m: Float64, start_m: float,
+    depth_m: float,
+) -> Site:  # fmt: skip
     """Site with a gate at the middle of an edge, and a straight lane or a drawn one (N, 2), away from the field.
 
-    The start is `start_m` before the far side of the yard.
+    The start is `start_m` before the far side of the yard; the lane ends within the field beyond a margin of `depth_m`.
     """
     out = np.array([along[1], -along[0]])  # the field is left of its edge
 
@@ -204,7 +238,7 @@ def _site(
     far = near + YARD_DEPTH_M
     start = at(end, 0.0, aside, far - start_m, ahead)
     corners = ((-wide, near), (-wide, far), (wide, far), (wide, near))
-    points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - INTO_FIELD_M * out)]
+    points = [at(point, 0.0, along, 0.0, out) for point in (*lane[::-1], middle - (depth_m + INTO_FIELD_M) * out)]
     return Site(
         name=outline.name,
         version=1,
@@ -245,9 +279,9 @@ def _is_clear(site: Site, field: Polygon) -> bool:
     full = Polygon(field.exterior)
     *others, end = (np.array(p) for p in site.lanes[0].center_m)
     inwards = (end - others[-1]) / np.hypot(*(end - others[-1]))
-    edge = end - inwards * INTO_FIELD_M
+    edge = np.mean(site.gates[0].posts_m, axis=0) + POSTS_OUT_M * inwards
     outside = LineString([*others, edge - inwards * 0.5])
     corridor = outside.buffer(site.lanes[0].width_m / 2.0, cap_style="flat")
-    inside = LineString([edge, end]).buffer(site.lanes[0].width_m / 2.0 - 0.05, cap_style="flat")
+    inside = LineString([edge + RECESS_M * inwards, end]).buffer(site.lanes[0].width_m / 2.0 - 0.05, cap_style="flat")
     beyond = shapely.union_all([corridor, Polygon(site.yard.outline_m)])
     return not beyond.intersects(full) and bool(field.buffer(0.5).covers(inside))

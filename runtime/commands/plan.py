@@ -71,8 +71,10 @@ def main(arguments: argparse.Namespace) -> int:
         )
     work = setup.mission.work
     if work is not None and (passes := plan.rig.headland_passes(work)) > work.headland_passes:
+        radius_m = plan.rig.radius_m
         sys.stderr.write(
-            f"note: {passes} headland passes instead of {work.headland_passes}: the trailed implement needs a run-in\n"
+            f"note: {passes} headland passes instead of {work.headland_passes}: turns forwards with a radius of "
+            f"{radius_m:.1f} m{'' if plan.rig.trailer is None else ' and a run-in'} need the room\n"
         )
     if not arguments.json:
         for r in plan.refills:

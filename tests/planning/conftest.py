@@ -5,7 +5,7 @@ import pytest
 from configs.mission import Mission
 from configs.site import Site
 from configs.strict import CONFIGS, find, load, parse, read_yaml
-from configs.vehicle import ImplementFile, MountedImplement, Vehicle
+from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
 from planning.config import PlanningConfig
 from planning.plan import Plan, plan_field
 
@@ -34,6 +34,13 @@ def vehicle() -> Vehicle:
 def harrow() -> MountedImplement:
     found = load(ImplementFile, find("implements", "harrow_6m")).implement
     assert isinstance(found, MountedImplement)
+    return found
+
+
+@pytest.fixture(scope="session")
+def disc_harrow() -> TrailedImplement:
+    found = load(ImplementFile, find("implements", "disc_harrow_3m")).implement
+    assert isinstance(found, TrailedImplement)
     return found
 
 

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shapely.geometry import LineString, Point, Polygon
+from shapely import affinity
+from shapely.geometry import LineString, Point, Polygon, box
 
 from configs.mission import Mission, Work
+from configs.site import DatumConfig
 from configs.strict import find, load, parse
 from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import ConfigError, FieldError
 from planning.config import PlanningConfig
-from planning.field.field import read_field
+from planning.field.field import FieldOutline, read_field
 from planning.field.site_generation import site_around, site_of
 from planning.plan import plan_field
 from tests.recordings import DATA, needs
@@ -126,6 +128,46 @@ def test_gate_away_from_a_no_go_area(
     moved = site_around(replace(outline, no_go=(("water", pond),)), vehicle, harrow, mission.work)
     assert moved is not None
     assert pond.distance(LineString(moved.lanes[0].center_m)) >= moved.lanes[0].width_m / 2.0
+
+
+ELLIPSE = affinity.scale(Point(0.0, 0.0).buffer(1.0, quad_segs=45), 70.0, 50.0)
+BENT = Polygon([(0, 0), (90, 0), (90, 60), (45, 60), (45, 90), (0, 90)])  # its reflex corner has no room for a yard
+
+
+@pytest.mark.parametrize(
+    ("field", "point_m", "off_m"),
+    [
+        (box(0.0, 0.0, 90.0, 60.0), (0.0, 0.0), 2.5), (box(0.0, 0.0, 90.0, 60.0), (88.0, 61.0), 2.5),
+        (ELLIPSE, (0.0, 50.0), 1.0), (ELLIPSE, (60.0, 25.0), 2.0), (BENT, (60.0, 60.0), 20.0),
+    ],
+)  # fmt: skip
+def test_a_gate_anywhere_on_the_outline(
+    field: Polygon, point_m: tuple[float, float], off_m: float, vehicle: Vehicle, harrow: MountedImplement,
+    mission: Mission, planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """Also in a corner, and where no edge is as long as a gate is wide; else the next place along the outline."""
+    assert mission.work is not None
+    work = mission.work.model_copy(update={"gate_m": point_m, "turns": "reverse"})
+    datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
+    site = site_of(FieldOutline("gate", datum, field), vehicle, harrow, work)
+    gate = LineString(site.gates[0].posts_m)
+    assert gate.distance(Point(point_m)) < off_m
+    assert not field.intersects(gate)
+    assert not field.intersects(Polygon(site.yard.outline_m))
+    plan = plan_field(site, vehicle, harrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.9
+
+
+def test_no_gate_where_the_machine_has_no_room_behind_it(
+    vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """The edge opposite is nearer than the front of the machine at the end of the lane."""
+    assert mission.work is not None
+    work = mission.work.model_copy(update={"turns": "reverse"})
+    datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
+    site = site_of(FieldOutline("strip", datum, box(0.0, 0.0, 90.0, 9.0)), vehicle, harrow, work)
+    assert site.lanes == ()
+    assert plan_field(site, vehicle, harrow, work, planning.planner, 0).planned_share > 0.8
 
 
 LANE = ((35.0, 0.0), (35.0, -22.0), (62.0, -40.0))  # from the lower edge, then to the right

@@ -1,16 +1,18 @@
 """Headland passes before the swaths, after them, or none."""
 
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
-from shapely.geometry import box
+from shapely.geometry import Polygon, box
 
 from benchmarks.planning_check import check
 from configs.mission import Mission
 from configs.site import DatumConfig, Site
-from configs.vehicle import MountedImplement, Vehicle
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from messages.plan import PathSectionType
 from planning.config import PlanningConfig
+from planning.coverage import route
 from planning.field.field import FieldOutline
 from planning.field.site_generation import site_within
 from planning.plan import Plan, plan_field
@@ -70,3 +72,36 @@ def test_last_with_a_lane_leads_home(planned: Any, site: Site) -> None:
     assert plan.planned_share > 0.97
     last = plan.paths[-1].sections[-1]
     assert last.section_type is PathSectionType.LANE
+
+
+@pytest.mark.parametrize("turns", ["forward", "reverse"])
+def test_open_passes_follow_all_swaths(
+    turns: str, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """In an arm too narrow for a closed pass."""
+    assert mission.work is not None
+    field = Polygon([(0, 0), (100, 0), (100, 30), (150, 30), (150, 39), (100, 39), (100, 60), (0, 60)])
+    work = mission.work.model_copy(update={"headland": "last", "turns": turns, "overlap_m": 0.0})
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    site = site_within(FieldOutline("arm", DATUM, field), vehicle, narrow, work)
+    plan = plan_field(site, vehicle, narrow, work, planning.planner, 1)
+    assert order_of(plan) == [PathSectionType.SWATH, PathSectionType.HEADLAND]
+    assert plan.planned_share > {"forward": 0.75, "reverse": 0.97}[turns]
+
+
+@pytest.mark.slow
+def test_last_with_a_trailed_implement(
+    vehicle: Vehicle, disc_harrow: TrailedImplement, mission: Mission, planning: PlanningConfig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """All passes are driven outwards of the swaths, and few tours are searched for it."""
+    assert mission.work is not None
+    tours = Mock(wraps=route.drive_lines)
+    monkeypatch.setattr(route, "drive_lines", tours)
+    field = Polygon([(0, 0), (110, 0), (110, 60), (70, 60), (70, 90), (0, 90)])
+    work = mission.work.model_copy(update={"headland": "last", "overlap_m": 0.0})
+    site = site_within(FieldOutline("L", DATUM, field), vehicle, disc_harrow, work)
+    plan = plan_field(site, vehicle, disc_harrow, work, planning.planner, 1)
+    assert order_of(plan) == [PathSectionType.SWATH, PathSectionType.HEADLAND]
+    assert plan.planned_share > 0.9
+    assert tours.call_count <= 3

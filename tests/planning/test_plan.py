@@ -248,6 +248,20 @@ def test_dead_end(
     assert plan.planned_area.intersection(arm).area > 0.7 * arm.area
 
 
+@pytest.mark.parametrize(("headland", "share"), [("first", 0.98), ("none", 0.45)])
+def test_headland_too_shallow_for_turns_forwards(
+    headland: str, share: float, site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission,
+    planning: PlanningConfig,
+) -> None:  # fmt: skip
+    """Two passes of 3 m leave no room for turns of 5 m at the ends of swaths: there are as many as it needs."""
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    work = mission.work.model_copy(update={"headland": headland})
+    outline = FieldOutline("rectangle", site.datum, box(0, 0, 100, 60))
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert plan.rig.headland_passes(work) == 4 > work.headland_passes
+    assert plan.planned_share > share
+
+
 def test_bent_strip_too_narrow_for_a_closed_pass(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from shapely.affinity import rotate
-from shapely.geometry import Polygon, box
+from shapely.geometry import LineString, Polygon, box
 
 from configs.mission import Mission
 from configs.site import Site
@@ -60,6 +60,19 @@ def test_remains_beside_an_edge_get_a_swath_parallel_to_it_and_then_the_next_bes
     assert times[0] == pytest.approx(30.0 * bare.area, rel=0.05)
     assert times[0] > times[2]
     assert len({tuple(ends_of(s).ravel().round(3)) for s, _ in offered}) == 3
+
+
+def test_each_direction_that_is_offered_works_what_it_is_worth(rig: Rig) -> None:
+    """In a dead end the direction into it ends a machine's length before its end, and is not offered with the other."""
+    space = FreeSpace(box(0, 0, 40, 8), rig.bodies, rig.radius_m, rig.config.smoothing_m)
+    bare, offered = box(0.1, 0.5, 7.0, 7.5), list[tuple[Swath, float]]()
+    swaths_over_remains(bare, rig, space, WORTH, lambda swath, most_s: offered.append((swath, most_s)) is not None)
+    ways = [(swath, most_s / WORTH.most_s_per_m2) for swath, most_s in offered]
+    assert any((s.onwards_m is None) != (s.back_m is None) for s, _ in ways)
+    for swath, gain_m2 in ways:
+        for ends in (swath.onwards_m, swath.back_m):
+            strip = None if ends is None else LineString(ends).buffer(0.5 * rig.working_width_m, cap_style="flat")
+            assert strip is None or bare.intersection(strip).area > 0.9 * gain_m2
 
 
 def test_remains_that_are_not_taken_get_no_swath(rig: Rig) -> None:

@@ -12,8 +12,7 @@ from shapely.geometry import Polygon, box
 from benchmarks.planning_check import check
 from configs.mission import Leg, Line, Mission, Work
 from configs.site import DatumConfig, PoseConfig, Site
-from configs.strict import find, load
-from configs.vehicle import ImplementFile, MountedImplement, TrailedImplement, Vehicle
+from configs.vehicle import MountedImplement, TrailedImplement, Vehicle
 from geometry.drawbar import Drawbar, Trailer, hitch_poses
 from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
@@ -37,13 +36,6 @@ FIELDS = {
     "pond": Polygon([(0, 0), (160, 0), (160, 120), (0, 120)], [[(70, 50), (95, 48), (98, 66), (80, 74), (68, 64)]]),
 }
 LEAST_COVERAGE = {"rectangle": 0.96, "L": 0.95, "trapezoid": 0.96, "pond": 0.95}
-
-
-@pytest.fixture(scope="module")
-def disc_harrow() -> TrailedImplement:
-    found = load(ImplementFile, find("implements", "disc_harrow_3m")).implement
-    assert isinstance(found, TrailedImplement)
-    return found
 
 
 @pytest.fixture(scope="module")
