@@ -291,7 +291,9 @@ class MapAlignment:
             if swing is not None:
                 self.monitor.add(fix, swing)
         if before is not None:
-            self._monitor(before, propagated, RejectionReason.OUTLIER in reasons)
+            # code may be metres off for minutes; its fixes are tried again and again
+            is_outlier = RejectionReason.OUTLIER in reasons and not fixes[-1].is_estimated
+            self._monitor(before, propagated, is_outlier)
 
     def _monitor(self, before: State, fixes: list[Position], is_outlier: bool) -> None:
         """Compares fixes at the newest keyframe with their references; excludes wrong ones from the graph."""
@@ -344,7 +346,8 @@ class MapAlignment:
         moved = propagate(fix, then, now, antenna, self._T_map_odom)
         slip_sigma = 0.0 if self.state is None else float(np.linalg.norm(self.state.sigmas[15:17]))
         path_m = float(np.linalg.norm(moved.p_map_m - fix.p_map_m))
-        return replace(moved, sigma_m=np.hypot(fix.sigma_m, slip_sigma * path_m))
+        by_path_m = slip_sigma * path_m
+        return replace(moved, sigma_m=np.hypot(fix.sigma_m, by_path_m), total_m=np.hypot(fix.total_m, by_path_m))
 
     def _swing(self, stamp_ns: int) -> Swing | None:
         """Motion of the antenna about base at a fix, by the samples beside it."""
