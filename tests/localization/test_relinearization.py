@@ -1,4 +1,4 @@
-"""A graph that begins anew at its newest keyframe with all that the old one knew of it."""
+"""A graph that is begun again at its newest keyframe with all that the old one knew of it."""
 
 import math
 
