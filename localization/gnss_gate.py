@@ -26,6 +26,9 @@ class SolutionConfig(Config):
     vertical_m: float = Sigma
     slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that varies too slowly to average out")
     correlation_s: float = Field(ge=0.0, le=600.0, description="0: the rest is white from fix to fix")
+    fast_share: float = Field(gt=0.0, lt=1.0, description="share of sigma that reflections change, beside the rest")
+    fast_s: float = Field(gt=0.0, le=600.0, description="correlation time of that share")
+    white_share: float = Field(gt=0.0, lt=1.0, description="share that is white, beside an estimated error")
     is_used: bool
     is_estimated: bool = Field(description="its correlated error is a variable of the graph, else its sigma is widened")
 
@@ -45,9 +48,6 @@ class GnssConfig(Config):
     heading_floor_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=10.0, description="lower bound of the reported sigma")
     heading_slow_share: float = Field(ge=0.0, lt=1.0, description="as slow_share of a solution")
-    estimated_white_share: float = Field(
-        gt=0.0, le=1.0, description="white part of the sigma beside an estimated error"
-    )
     stamp_s: float = Field(ge=0.0, le=0.5, description="error of the stamps of fixes, for good")
     min_satellites: int = Field(ge=4, le=30)
     max_correction_age_s: float = Field(gt=0.0, le=600.0)
@@ -91,8 +91,9 @@ class Position:
     """A fix in `map`: `sigma_m` (3,) for one factor, `slow_m` (3,) the slowly varying error.
 
     `velocity_mps` (3,) of the antenna with sigma, NaN when unknown. `total_m` (3,) is the sigma of the fix alone, and
-    `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster. The
-    correlated part has the time `correlation_s` (0: not known) and `is_estimated` as a variable of the graph.
+    `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster; `fast_m`
+    and `white_m` (3,) are shares of it. The correlated parts have the times `correlation_s` (0: not known) and `fast_s`
+    and, where `is_estimated`, are a variable of the graph.
     """
 
     stamp_ns: int
@@ -105,10 +106,19 @@ class Position:
     solution: GnssSolution
     velocity_mps: Float64
     velocity_sigma_mps: float
-    total_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
+    total_m: Float64
     change_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
+    fast_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
+    white_m: Float64 = field(default_factory=lambda: np.full(3, math.nan))
     correlation_s: float = 0.0
+    fast_s: float = 0.0
     is_estimated: bool = False
+
+    @property
+    def expected_m(self) -> Float64:
+        """Sigma (3,) of the difference from the truth, by the errors that the graph assumes."""
+        parts = (self.total_m, self.fast_m, self.white_m) if self.is_estimated else (self.total_m,)
+        return np.asarray(np.linalg.norm(parts, axis=0))
 
 
 def source_of(solution: GnssSolution) -> PositionSource:
@@ -158,10 +168,11 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     heading = fix.heading_rad if has_heading else math.nan
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
+    change = np.where(np.isnan(fix.sigma_enu_m), floor, sigma)
     return Position(
         fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
-        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, np.where(np.isnan(fix.sigma_enu_m), floor, sigma),
-        row.correlation_s, row.is_estimated,
+        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, row.fast_share * change, row.white_share * change,
+        row.correlation_s, row.fast_s, row.is_estimated,
     )  # fmt: skip
 
 
@@ -204,10 +215,11 @@ class GnssGate:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""
         innovation = position.p_map_m - predicted_m
         self._recent.append(innovation)
-        own = np.diag(position.sigma_m**2 + position.slow_m**2)
+        own = np.diag(position.expected_m**2)
         if self._is_new(position) and not self._are_consistent(np.sqrt(np.diag(own)), covariance):
             return RejectionReason.CONFIRMATION
-        if not self.passes(innovation, covariance + own):
+        tested = slice(0, 2) if position.is_estimated else slice(0, 3)  # see `has_height`
+        if not self.passes(innovation[tested], (covariance + own)[tested, tested]):
             return RejectionReason.OUTLIER
         self.trust(position)
         return RejectionReason.NONE
@@ -215,7 +227,15 @@ class GnssGate:
     def passes(self, innovation_m: Float64, covariance: Float64) -> bool:
         """Whether an innovation is inside the gate."""
         floor = self._config.gate_floor_m / self._config.gate_sigma
-        return distance(innovation_m, covariance + floor**2 * np.eye(3)) <= self._config.gate_sigma
+        return distance(innovation_m, covariance + floor**2 * np.eye(len(innovation_m))) <= self._config.gate_sigma
+
+    def has_height(self, position: Position, predicted_m: Float64, covariance: Float64) -> bool:
+        """Whether the height agrees with the prediction too.
+
+        That of code wanders by tens of metres while the position is right; one of wrong ambiguities refuses the fix.
+        """
+        variance = covariance[2:, 2:] + position.expected_m[2] ** 2
+        return self.passes((position.p_map_m - predicted_m)[2:], variance)
 
     def _is_new(self, position: Position) -> bool:
         if self._accepted_ns is None or position.solution > self._trusted:

@@ -54,6 +54,7 @@ class MapAlignment:
         self._T_map_odom = np.eye(4)
         self._accepted: Position | None = None
         self._accepted_ns = self._rejected_ns = 0
+        self._late_m = 0.0  # what late or early stamps did to the newest accepted fix
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self._taken_ns: int | None = None  # newest fix since the start
@@ -291,7 +292,9 @@ class MapAlignment:
             if swing is not None:
                 self.monitor.add(fix, swing)
         if before is not None:
-            self._monitor(before, propagated, RejectionReason.OUTLIER in reasons)
+            # code may be metres off for minutes; its fixes are tried again and again
+            is_outlier = RejectionReason.OUTLIER in reasons and not fixes[-1].is_estimated
+            self._monitor(before, propagated, is_outlier)
 
     def _monitor(self, before: State, fixes: list[Position], is_outlier: bool) -> None:
         """Compares fixes at the newest keyframe with their references; excludes wrong ones from the graph."""
@@ -344,7 +347,8 @@ class MapAlignment:
         moved = propagate(fix, then, now, antenna, self._T_map_odom)
         slip_sigma = 0.0 if self.state is None else float(np.linalg.norm(self.state.sigmas[15:17]))
         path_m = float(np.linalg.norm(moved.p_map_m - fix.p_map_m))
-        return replace(moved, sigma_m=np.hypot(fix.sigma_m, slip_sigma * path_m))
+        by_path_m = slip_sigma * path_m
+        return replace(moved, sigma_m=np.hypot(fix.sigma_m, by_path_m), total_m=np.hypot(fix.total_m, by_path_m))
 
     def _swing(self, stamp_ns: int) -> Swing | None:
         """Motion of the antenna about base at a fix, by the samples beside it."""
@@ -414,6 +418,7 @@ class MapAlignment:
         if self.is_rejecting:
             self.motion_start.clear()
         self._accepted, self._accepted_ns = position, position.stamp_ns
+        self._late_m = self._config.gnss.stamp_s * abs(self._odometry.speed_mps)
         self._end_rejection()
 
     def _end_rejection(self) -> None:
@@ -464,10 +469,14 @@ class MapAlignment:
             )
         T = self._T_map_odom @ self._odom_now()
         age_s = math.inf if self._accepted is None else max(0, stamp_ns - self._accepted_ns) * 1e-9
-        source = position_source(self._accepted, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
+        used = None if self.monitor.suspicion else self._accepted  # else dead reckoning from before the suspicion
+        source = position_source(used, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
-        level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps) if source in BY_GNSS else 0.0
+        if source in BY_GNSS:
+            level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps)
+        elif source is PositionSource.DEAD_RECKONING:  # from a place that the stamps had shifted
+            level_m = max(level_m, accuracy_m + self._late_m)
         is_disputed = self._is_disputed(stamp_ns)
         if source in BY_GNSS or is_disputed:
             level_m = max(level_m, accuracy_m + self.monitor.level_m(stamp_ns))

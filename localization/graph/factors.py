@@ -3,8 +3,8 @@
 A keyframe has pose X (`base` axes, origin at the IMU, in `map`), velocity V of that origin in `map`, bias B and slip
 S (4,): scale, drift, slip per longitudinal force, slip angle per lateral force (see `displacement_columns` in
 wheel_track.py); with UWB ranges also C, scale and bias of every anchor (see uwb_factor.py); with
-fixes whose correlated error is estimated also E, that error (3,) in `map`; with lidar odometry also M, the angle (1,)
-by which it is turned against the positions: mounts of lidar and antennas in yaw.
+fixes whose correlated error is estimated also E, that error (6,) in `map`, slow then fast part; with lidar odometry
+also M, the angle (1,) by which it is turned against the positions: mounts of lidar and antennas in yaw.
 """
 
 import math
@@ -51,24 +51,25 @@ def gnss_factor(key: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) ->
 
 
 def antenna_factor(pose: int, offset: int, p_map_m: Float64, arm_m: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
-    """As `gnss_factor`, with the correlated error (3,) of the fixes as a variable: `pose` and `offset` are symbols."""
+    """As `gnss_factor`, with the correlated error (6,) of the fixes as a variable: `pose` and `offset` are symbols."""
+    both = np.hstack([np.eye(3), np.eye(3)])
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
         T = values.atPose3(pose).matrix()
         if H is not None:
             H[0] = T[:3, :3] @ np.hstack([-skew(arm_m), np.eye(3)])
-            H[1] = np.eye(3)
-        return T[:3, 3] + T[:3, :3] @ arm_m + values.atVector(offset) - p_map_m
+            H[1] = both
+        return T[:3, 3] + T[:3, :3] @ arm_m + both @ values.atVector(offset) - p_map_m
 
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [pose, offset], error)
 
 
-def decay_factor(start: int, end: int, keep: float, sigma_m: Float64) -> gtsam.CustomFactor:
-    """Correlated error of fixes (3,) at the symbol `end`: `keep` of that at `start`, and a change of `sigma_m` (3,)."""
+def decay_factor(start: int, end: int, keep: Float64, sigma_m: Float64) -> gtsam.CustomFactor:
+    """Correlated error of fixes (6,) at the symbol `end`: `keep` (6,) of that at `start`, and a change (6,)."""
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[Float64] | None) -> Float64:
         if H is not None:
-            H[0], H[1] = -keep * np.eye(3), np.eye(3)
+            H[0], H[1] = -np.diag(keep), np.eye(6)
         return values.atVector(end) - keep * values.atVector(start)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [start, end], error)

@@ -1,10 +1,9 @@
 """Correlated error of fixes as a variable of the graph, one per keyframe: Gauss-Markov, with their sigma and time.
 
 Without it a fix of 2.5 m at 10 Hz, correlated over 60 s, needs 35 times its sigma, and says nothing while dead
-reckoning drifts.
+reckoning drifts. It has two parts, each (3,): the atmosphere, over minutes, and reflections and the filter of the
+receiver, over seconds. Without the second, fixes would tell the heading ten times better than they do.
 """
-
-import math
 
 import gtsam
 import numpy as np
@@ -14,12 +13,33 @@ from localization.gnss_gate import Position
 from localization.graph.factors import E, X, antenna_factor, decay_factor
 from localization.graph.smoother import Smoother
 
+ERROR = 6
+NO_HEIGHT_M = 1e3  # sigma of a height that says nothing
+
+
+def prior_factor(key: int, fix: Position) -> gtsam.NonlinearFactor:
+    """Factor of the error at the first fix, of which nothing is known."""
+    sigmas = gtsam.noiseModel.Diagonal.Sigmas(np.concatenate([fix.total_m, fix.fast_m]))
+    return gtsam.PriorFactorVector(E(key), np.zeros(ERROR), sigmas)
+
+
+def change_factor(start: int, end: int, fix: Position, age_s: float, correlation_s: float) -> gtsam.NonlinearFactor:
+    """Factor of the errors at two keyframes that are `age_s` apart."""
+    keep = np.repeat(np.exp([-age_s / correlation_s, -age_s / fix.fast_s]), 3)
+    sigma_m = np.concatenate([fix.change_m, fix.fast_m]) * np.sqrt(1.0 - keep**2)
+    return decay_factor(E(start), E(end), keep, sigma_m)
+
+
+def position_factor(key: int, fix: Position, arm_m: Float64, has_height: bool = True) -> gtsam.NonlinearFactor:
+    """Factor of a fix beside the error at its keyframe."""
+    white_m = fix.white_m if has_height else np.array([*fix.white_m[:2], NO_HEIGHT_M])
+    return antenna_factor(X(key), E(key), fix.p_map_m, arm_m, white_m)
+
 
 class FixErrors:
     """Begins at the first fix whose error is estimated, and ends at one whose error is not."""
 
-    def __init__(self, white_share: float) -> None:
-        self._white_share = white_share
+    def __init__(self) -> None:
         self._last: tuple[int, int] | None = None  # key and stamp
         self._kind: Position | None = None
         self.guess: Float64 | None = None
@@ -41,15 +61,9 @@ class FixErrors:
             return []
         self._last = key, stamp_ns
         if last is None or last[0] != key - 1:
-            self.guess = np.zeros(3)
-            sigmas = gtsam.noiseModel.Diagonal.Sigmas(kind.total_m)
-            return [gtsam.PriorFactorVector(E(key), np.zeros(3), sigmas)]
-        keep = math.exp(-(stamp_ns - last[1]) * 1e-9 / kind.correlation_s)
-        return [decay_factor(E(key - 1), E(key), keep, kind.change_m * math.sqrt(1.0 - keep**2))]
-
-    def position_factor(self, key: int, fix: Position, arm_m: Float64) -> gtsam.CustomFactor:
-        """Factor of a fix beside the error at its keyframe."""
-        return antenna_factor(X(key), E(key), fix.p_map_m, arm_m, self._white_share * fix.change_m)
+            self.guess = np.zeros(ERROR)
+            return [prior_factor(key, kind)]
+        return [change_factor(key - 1, key, kind, (stamp_ns - last[1]) * 1e-9, kind.correlation_s)]
 
     def read(self, key: int, smoother: Smoother) -> None:
         """Takes the solution, from which the next keyframe begins."""

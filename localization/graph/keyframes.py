@@ -36,7 +36,7 @@ from localization.graph.factors import (
     standstill_factor,
     wheel_factor,
 )
-from localization.graph.fix_errors import FixErrors
+from localization.graph.fix_errors import FixErrors, position_factor
 from localization.graph.imu_preintegration import (
     accelerometer_density,
     bias_sigmas,
@@ -102,7 +102,7 @@ class KeyframeBuilder:
         self._slip_sigma = wheels.start_sigma if self._has_wheels else np.full(4, wheels.drift_sigma)
         self._wheels, self._initial_alignment, self._gnss = wheels, initial_alignment, gnss
         self.gnss_gate = GnssGate(gnss)
-        self.smoother = Smoother(smoother)
+        self.smoother, self._bend_m = Smoother(smoother), smoother.bend_m
         self._pending_factors: list[gtsam.NonlinearFactor] = []
         self.range_gate, self._pose_measurement = range_gate, pose_measurement
         self.columns: Float64 | None = None
@@ -110,7 +110,7 @@ class KeyframeBuilder:
         self._calibrated: tuple[int, int] | None = None  # key and stamp of the newest calibration in the graph
         self._course_at: tuple[int, int] | None = None  # the same of the newest angle of lidar odometry
         self._waiting_course: Course | None = None  # of motions that wait
-        self._fix_errors = FixErrors(gnss.estimated_white_share)
+        self._fix_errors = FixErrors()
 
     def separation(self, config: SeparationConfig) -> OdometrySeparation:
         """Separation of fixes from wheels and gyro, with the errors that the graph assumes."""
@@ -192,6 +192,12 @@ class KeyframeBuilder:
         density = max(self._accelerometer_density, vibration_density(steps))
         preintegrated = preintegrate(self._parameters, last.bias, steps, density)
         guess, key = self._predict(last, stamp_ns, preintegrated), self.smoother.next_key
+        antenna = self._antenna(guess, dt_s, density)
+        reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
+        used = [p for p, reason in zip(positions, reasons, strict=True) if reason is RejectionReason.NONE]
+        if any(self._bends(guess, position, *antenna) for position in used):
+            self.smoother.relinearize()
+            self._pending_factors, self._waiting_course = [], None  # of keyframes that are no longer in the graph
         factors, self._pending_factors = self._pending_factors, []
         variables: dict[int, Float64] = {}
         if self._waiting_course is not None:
@@ -199,12 +205,9 @@ class KeyframeBuilder:
             variables[M(key)] = np.array([course_rad])
             factors.append(factor)
         factors += self._wheel_factors(key, last, guess, steps, wheels, density)
-        antenna = self._antenna(guess, dt_s, density)
-        reasons = [self.gnss_gate.evaluate(position, *antenna) for position in positions]
-        used = [p for p, reason in zip(positions, reasons, strict=True) if reason is RejectionReason.NONE]
         factors += self._fix_errors.factors(key, stamp_ns, used)
         for position in used:
-            factors += self._fix_factors(key, guess, position)
+            factors += self._fix_factors(key, guess, position, self.gnss_gate.has_height(position, *antenna))
         factors += self._pose_factors(key, guess, pose_measurements)
         range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
         imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
@@ -278,10 +281,18 @@ class KeyframeBuilder:
         p = guess.T_map_body[:3, 3] + R @ self.lever_arms.antenna_m
         return p, J @ guess.covariance @ J.T + growth
 
-    def _fix_factors(self, key: int, guess: State, position: Position) -> list[gtsam.NonlinearFactor]:
+    def _bends(self, guess: State, position: Position, predicted_m: Float64, covariance: Float64) -> bool:
+        """Whether a fix turns and shifts the newest keyframes by more than the graph is linear."""
+        J = guess.T_map_body[:2, :3] @ np.hstack([-skew(self.lever_arms.antenna_m), np.eye(3)])
+        own = np.diag(position.expected_m[:2] ** 2)
+        innovation_m = (position.p_map_m - predicted_m)[:2]
+        step = guess.covariance @ J.T @ np.linalg.solve(covariance[:2, :2] + own, innovation_m)
+        return float(np.linalg.norm(step[:3]) * np.linalg.norm(step[3:])) > self._bend_m
+
+    def _fix_factors(self, key: int, guess: State, position: Position, has_height: bool) -> list[gtsam.NonlinearFactor]:
         arm_m = self.lever_arms.antenna_m
         factors: list[gtsam.NonlinearFactor] = [
-            self._fix_errors.position_factor(key, position, arm_m)
+            position_factor(key, position, arm_m, has_height)
             if position.is_estimated
             else gnss_factor(key, position.p_map_m, arm_m, position.sigma_m)
         ]

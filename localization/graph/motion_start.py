@@ -23,12 +23,12 @@ from localization.graph.factors import (
     S,
     V,
     X,
-    antenna_factor,
     heading_factor,
     no_sideslip_factor,
     standstill_factor,
     wheel_factor,
 )
+from localization.graph.fix_errors import ERROR, change_factor, position_factor, prior_factor
 from localization.graph.motion_window import Interval, MotionWindow
 from localization.graph.smoother import FAILURES, SLIP, State
 
@@ -54,7 +54,6 @@ class MotionStartConfig(Config):
     gyro_bias_dps: float = Field(gt=0.0, le=10.0, description="sigma at power-on")
     accelerometer_bias_mps2: float = Field(gt=0.0, le=2.0, description="sigma at power-on")
     correlation_s: float = Field(gt=0.0, le=1000.0, description="of fixes whose solution has none")
-    white_share: float = Field(gt=0.0, le=1.0, description="part of a fix's sigma without correlation")
     heading_sigma_deg: float = Degrees
     tilt_sigma_deg: float = Degrees
     ratio: float = Field(gt=1.0, le=100.0, description="largest squared residual over its expectation")
@@ -126,8 +125,9 @@ class MotionStart:
 
     def _relative_sigma_m(self, fix: Position, age_s: float) -> float:
         """Sigma of the displacement between two fixes."""
-        drift = math.sqrt(min(1.0, age_s / self._correlation_s(fix)))
-        return math.sqrt(2.0) * float(np.max(fix.change_m[:2])) * math.hypot(self._config.white_share, drift)
+        slow_m = fix.change_m * math.sqrt(1.0 - math.exp(-age_s / self._correlation_s(fix)))
+        fast_m = fix.fast_m * math.sqrt(1.0 - math.exp(-age_s / fix.fast_s))
+        return math.sqrt(2.0 * float(np.max((slow_m**2 + fast_m**2 + fix.white_m**2)[:2])))
 
     def _correlation_s(self, fix: Position) -> float:
         return fix.correlation_s or self._config.correlation_s
@@ -219,7 +219,7 @@ class MotionStart:
                 self._add_fix(graph, key, interval.fix, last)
                 last = key, interval.fix
         values = sum(graph.at(k).dim() for k in range(graph.size()))
-        unknowns = STATE * (len(window.intervals) + 1) + 3 * len(window.fixes)
+        unknowns = STATE * (len(window.intervals) + 1) + ERROR * len(window.fixes)
         return graph, max(1, values - unknowns)
 
     def _add_priors(self, graph: gtsam.NonlinearFactorGraph, first: Position) -> None:
@@ -234,7 +234,7 @@ class MotionStart:
         bias = np.repeat([cfg.accelerometer_bias_mps2, math.radians(cfg.gyro_bias_dps)], 3)
         graph.add(gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), _sigmas(bias)))
         graph.add(gtsam.PriorFactorVector(S(0), model.slip, _sigmas(model.slip_sigma)))
-        graph.add(gtsam.PriorFactorPoint3(E(0), np.zeros(3), _sigmas(first.total_m)))
+        graph.add(prior_factor(0, first))
         self._add_position(graph, 0, first)
 
     def _motion_factor(self, key: int, interval: Interval) -> gtsam.NonlinearFactor:
@@ -248,13 +248,11 @@ class MotionStart:
 
     def _add_fix(self, graph: gtsam.NonlinearFactorGraph, key: int, fix: Position, last: tuple[int, Position]) -> None:
         age_s = (fix.stamp_ns - last[1].stamp_ns) * 1e-9
-        walk = fix.change_m * math.sqrt(min(2.0, 2.0 * age_s / self._correlation_s(fix)))
-        graph.add(gtsam.BetweenFactorVector(E(last[0]), E(key), np.zeros(3), _sigmas(walk)))
+        graph.add(change_factor(last[0], key, fix, age_s, self._correlation_s(fix)))
         self._add_position(graph, key, fix)
 
     def _add_position(self, graph: gtsam.NonlinearFactorGraph, key: int, fix: Position) -> None:
-        white = self._config.white_share * fix.change_m
-        graph.add(antenna_factor(X(key), E(key), fix.p_map_m, self._model.antenna_m, white))
+        graph.add(position_factor(key, fix, self._model.antenna_m))
         if math.isfinite(fix.heading_rad):
             graph.add(heading_factor(key, fix.heading_rad, math.hypot(fix.heading_sigma_rad, fix.heading_slow_rad)))
 
@@ -281,7 +279,7 @@ class MotionStart:
             values.insert(B(key), gtsam.imuBias.ConstantBias())
             values.insert(S(key), self._model.slip.copy())
             if key in at_fix:
-                values.insert(E(key), np.zeros(3))
+                values.insert(E(key), np.zeros(ERROR))
         return values
 
 

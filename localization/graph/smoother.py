@@ -24,6 +24,7 @@ class SmootherConfig(Config):
     period_s: float = Field(gt=0.0, le=1.0, description="between keyframes without fixes")
     wait_s: float = Field(ge=0.0, le=1.0, description="for a late fix before a keyframe is added without it")
     relinearize_threshold: float = Field(gt=0.0, le=1.0)
+    bend_m: float = Field(gt=0.0, le=1.0, description="turn times shift by a fix that needs a new linearization of all")
     wide_m: float = Field(gt=0.0, le=100.0, description="sigma of a start above which QR replaces Cholesky")
     max_jump_sigmas: float = Field(gt=1.0, le=100.0, description="of a solution from its prediction, beyond wide_m")
     wide_mps2: float = Field(gt=0.0, le=100.0, description="the same for the accelerometer bias")
@@ -74,10 +75,7 @@ class Smoother:
         # Cholesky takes 60 % of the time of QR, and fails at priors of metres beside standstill factors of 0.5 mm,
         # and at biases that nothing has measured yet beside their random walk
         state = replace(state, sigmas=np.concatenate([np.sqrt(np.diag(state.covariance)), state.sigmas[6:]]))
-        cfg, bias_sigma = self._config, float(np.max(state.sigmas[9:12]))
-        is_wide = float(np.max(state.sigmas[3:6])) > cfg.wide_m or bias_sigma > cfg.wide_mps2
-        self._graph, self._origin_ns = self._new_graph(is_wide), state.stamp_ns
-        self._stamps.clear()
+        self._begin(state)
         self._index += 1
         k, sigma = self._index, gtsam.noiseModel.Diagonal.Sigmas
         factors = gtsam.NonlinearFactorGraph()
@@ -91,6 +89,38 @@ class Smoother:
         except FAILURES as error:
             raise SmootherFailure(_line(error)) from error
         self.state = state
+
+    def relinearize(self) -> None:
+        """Starts a new graph at the newest keyframe with all that the old one knows of it.
+
+        The oldest keyframe of a graph keeps the values at which its past was linearized. When a fix turns and shifts
+        the others by more than a little, they no longer fit to it, and the solution turns away by any angle.
+        Raises SmootherFailure.
+        """
+        old, state = self._graph, self.state
+        assert state is not None, "start comes first"
+        at, solution = gtsam.Values(old.getLinearizationPoint()), old.calculateEstimate()
+        keys = solution.keys()
+        newest = [key for key in keys if gtsam.symbolIndex(key) == self._index]
+        for key in set(keys).difference(newest):
+            at.erase(key)
+            solution.erase(key)
+        factors = gtsam.NonlinearFactorGraph()
+        try:
+            known = old.getFactors().linearize(old.getLinearizationPoint()).marginal(newest)
+            for number in range(known.size()):
+                factors.add(gtsam.LinearContainerFactor(known.at(number), at))
+            self._begin(state)
+            self._graph.update(factors, solution, dict.fromkeys(newest, 0.0))
+        except FAILURES as error:
+            raise SmootherFailure(_line(error)) from error
+        self._stamps[self._index] = state.stamp_ns
+
+    def _begin(self, state: State) -> None:
+        cfg, bias_sigma = self._config, float(np.max(state.sigmas[9:12]))
+        is_wide = float(np.max(state.sigmas[3:6])) > cfg.wide_m or bias_sigma > cfg.wide_mps2
+        self._graph, self._origin_ns = self._new_graph(is_wide), state.stamp_ns
+        self._stamps.clear()
 
     def key_near(self, stamp_ns: int, tolerance_ns: int) -> tuple[int, int] | None:
         """Key and stamp of the keyframe nearest to a time, at least 0.5 s inside the lag."""

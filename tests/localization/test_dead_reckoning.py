@@ -67,6 +67,7 @@ def fixes(start_headings, spread_m=0.0):
             GnssSolution.RTK_FIXED,
             np.zeros(3),
             0.03,
+            np.full(3, 0.01),
         )
         for k, h in enumerate(start_headings)
     ]

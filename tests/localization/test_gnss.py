@@ -34,6 +34,7 @@ def position(offset_m=0.0, k=0, solution=GnssSolution.RTK_FIXED):
         solution,
         np.zeros(3),
         0.03,
+        np.full(3, 0.008),
     )
 
 
@@ -105,10 +106,29 @@ def test_correlated_solution_information_independent_of_rate():
 
 def test_innovation_gate_limit():
     covariance = np.eye(3) * 0.02**2
-    sigma = math.sqrt(0.02**2 + 0.006**2 + 0.005**2 + (CONFIG.gate_floor_m / CONFIG.gate_sigma) ** 2)
+    sigma = math.sqrt(0.02**2 + 0.008**2 + (CONFIG.gate_floor_m / CONFIG.gate_sigma) ** 2)
     for share in (*np.linspace(0.95, 0.999, 5), *np.linspace(1.001, 1.05, 5)):
         expected = RejectionReason.NONE if share < 1 else RejectionReason.OUTLIER
         assert gate().evaluate(position(share * sigma * CONFIG.gate_sigma), np.zeros(3), covariance) is expected
+
+
+def test_code_far_from_the_prediction_is_refused_whatever_its_correlation():
+    fix = dataclasses.replace(GOOD, solution=GnssSolution.SBAS, sigma_enu_m=np.array([0.9, 0.9, 1.8]))
+    code, covariance = position_of(fix, DATUM, CONFIG, 10.0), np.diag([2.0, 2.0, 1.0]) ** 2
+    tested = GnssGate(CONFIG)
+    tested.trust(code)
+    assert tested.evaluate(code, np.array([8.0, 0.0, 0.0]), covariance) is RejectionReason.NONE
+    assert tested.evaluate(code, np.array([20.0, 0.0, 0.0]), covariance) is RejectionReason.OUTLIER
+
+
+@pytest.mark.parametrize(("solution", "is_used"), [(GnssSolution.SBAS, True), (GnssSolution.RTK_FIXED, False)])
+def test_a_wrong_height_refuses_fixed_ambiguities_only(solution, is_used):
+    fix = position_of(dataclasses.replace(GOOD, solution=solution), DATUM, CONFIG, 10.0)
+    tested, far_m, covariance = GnssGate(CONFIG), np.array([0.0, 0.0, 30.0]), 0.01 * np.eye(3)
+    tested.trust(fix)
+    assert (tested.evaluate(fix, far_m, covariance) is RejectionReason.NONE) is is_used
+    assert not tested.has_height(fix, far_m, covariance)
+    assert tested.has_height(fix, np.zeros(3), covariance)
 
 
 def test_confirmation_after_outage():

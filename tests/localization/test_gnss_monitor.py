@@ -11,6 +11,7 @@ from benchmarks.localization_robustness import judged, measured
 from geometry.angles import wrap
 from geometry.transforms import yaw_of
 from localization.separation import Separation
+from messages.motion import PositionSource
 from tests.localization.harness import run
 from tests.localization.synthetic_drive import START_NS, SensorErrors, drive
 
@@ -112,6 +113,34 @@ def test_the_level_is_that_of_the_reference_once_a_wrong_fix_is_excluded():
     assert "gnss.contradicts_velocity" in codes
     assert row.misleading_s == [0.0] * 4
     assert row.available[-1] > 0.8  # below 0.5 m for 12 of 14 s; before, for none
+
+
+def test_a_position_that_is_no_longer_by_gnss_is_dead_reckoning_at_once():
+    case = dataclasses.replace(BY_NAME["multipath 0.3 m 10 s"], from_s=14.0)
+    draw = Draw(2)
+    draw.delay_s = 0.0
+    truth = drive(22.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
+    result = run(edited(truth, case, draw))
+    (begin_ns,) = (f.stamp_ns for f in result.faults if f.is_active and f.code == "gnss.contradicts_velocity")
+    suspected = [p for p in result.poses if p.stamp_ns > begin_ns + 100_000_000]
+    assert {p.source for p in suspected} == {PositionSource.DEAD_RECKONING}
+    assert all(p.protection_level_m < 0.3 for p in suspected if p.stamp_ns < begin_ns + 1_000_000_000)
+
+
+@pytest.mark.parametrize("shift_ms", [-50, 50])
+def test_stamps_that_had_shifted_the_position_are_in_the_level_without_fixes(shift_ms):
+    """2.78 m/s: 0.14 m along the path."""
+    truth = drive(24.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.78, 0.0)], sensor_errors=SensorErrors(seed=2))
+    late = [
+        (t, topic, dataclasses.replace(m, stamp_ns=m.stamp_ns + shift_ms * 1_000_000) if topic == "gnss/main" else m)
+        for t, topic, m in truth.messages
+        if topic != "gnss/main" or m.stamp_ns < START_NS + 18e9
+    ]
+    alone = [p for p in run(late).poses if p.source is PositionSource.DEAD_RECKONING]
+    assert len(alone) > 30
+    errors_m = [math.dist(p.T_map_base[:2, 3], truth.at(p.stamp_ns)[:2, 3]) for p in alone]
+    assert max(errors_m) > 0.1
+    assert all(e < p.protection_level_m for e, p in zip(errors_m, alone, strict=True))
 
 
 def test_lidar_odometry_shows_what_slip_of_the_wheels_hides():

@@ -104,3 +104,31 @@ def test_localizer_takes_fixes_of_husky(heading_rad: float) -> None:
         base_m = (initialized[0].T_map_odom @ result.odom[0].T_odom_base)[:2, 3]
         assert np.linalg.norm(base_m - mean_m[:2]) < 1.0
         assert initialized[0].source is PositionSource.SINGLE
+
+
+@needs(HUSKY)
+def test_husky_knows_how_far_it_is_off_after_an_outage() -> None:
+    """45 s without fixes, after 50 s whose fixes wander by metres within seconds: they teach little of the heading."""
+    begin, end_s, outage_s = recorded()[0][0], 101.0, (50.0, 95.0)
+    messages, withheld, datum = [], [], None
+    for t, topic, m in recorded():
+        if t - begin > end_s * 1e9:
+            break
+        if isinstance(m, GnssFix):
+            datum = datum or Datum(m.latitude_rad, m.longitude_rad, m.height_m)
+            if outage_s[0] < (t - begin) * 1e-9 < outage_s[1]:
+                withheld.append(m)
+                continue
+        messages.append((t, "wheel", wheels_of(m)) if isinstance(m, Odometry) else (t, topic, m))
+    localizer = Localizer(husky(), datum, husky_configuration())
+    result = run(messages, localizer=localizer, start_ns=begin)
+    assert "localization.rebuilt" not in {f.code for f in result.faults}
+    poses = [p for p in result.poses if p.is_initialized]
+    stamps = np.array([p.stamp_ns for p in poses])
+    for fix in withheld:
+        pose = poses[int(np.argmin(np.abs(stamps - fix.stamp_ns)))]
+        place_m = datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m)
+        assert math.dist(place_m[:2], pose.T_map_base[:2, 3]) < pose.protection_level_m + 2.0  # of the fix
+    returned = [p for p in poses if (p.stamp_ns - begin) * 1e-9 > outage_s[1] + 3.0]
+    assert returned
+    assert all(p.source is PositionSource.SINGLE and p.protection_level_m < 15.0 for p in returned)

@@ -24,7 +24,7 @@ def fix(t_s, p_m, velocity_mps=(0.0, 0.0)):
     velocity = np.array([*velocity_mps, 0.0])
     return Position(
         round(t_s * 1e9), np.array([*p_m, 0.0]), sigma, sigma, math.nan, math.nan, 0.0, GnssSolution.RTK_FIXED,
-        velocity, 0.03,
+        velocity, 0.03, sigma,
     )  # fmt: skip
 
 
