@@ -25,10 +25,8 @@ IN_YARD_M = 4.0  # length of a lane there
 INTO_FIELD_M = 6.0
 GATE_SPARE_M = 1.6  # width beyond body and margins, both sides together
 YARD_DEPTH_M = 24.0
-START_M, BEHIND_M = (
-    8.0,
-    1.0,
-)  # of the start before the far side of the yard, at least, and beyond the margin behind the rig
+START_M = 8.0  # of the start before the far side of the yard, at least
+BEHIND_M = 1.0  # free behind the rig, beyond the margin
 POSTS_OUT_M = 0.5  # distance of the fence outside the field edge
 SPARE_M = 0.1  # at the start, beyond the margin to the edge
 CENTRE_ERROR_M = 0.1
