@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rows import append_row, rows_of
+from configs.sensor_kinds import sensors_of
 from configs.strict import CONFIGS, parse, read_yaml
 from datasets.reader import read_log
 from geometry.arrays import Float64
@@ -38,23 +39,11 @@ from validation.obstacle_stop.boxes import box_of
 MISSED = "missed"
 LIMIT_S, RANGE_M, APART_M = 16.0, 20.0, 0.5
 MAX_APART_NS = 60_000_000  # of truth, which has 10 Hz, and tracks
-OBJECTS = (
-    "adult",
-    "child",
-    "cyclist",
-    "dog",
-    "calf",
-    "sheep",
-    "roe_deer",
-    "car",
-    "quad",
-    "post",
-    "round_bale",
-    "stone",
-)
+OBJECTS = ("adult", "child", "cyclist", "dog", "calf", "sheep", "roe_deer", "car", "quad", "post", "round_bale",
+           "stone")  # fmt: skip
 MOVING_MPS = {"adult": (0.8, 1.8), "child": (0.6, 1.5), "cyclist": (2.0, 6.0), "dog": (0.8, 3.0), "calf": (0.3, 1.2),
               "sheep": (0.3, 1.2), "roe_deer": (0.8, 4.0), "car": (1.5, 4.0), "quad": (1.5, 5.0)}  # fmt: skip
-SENSORS = {"all": (), "lidar": ("radar/", "ultrasonic/")}  # topics of those that are off
+SENSORS = {"all": (), "lidar": ("radar", "ultrasonic")}  # kinds of those that are off
 SLOTS = 6  # objects of one drive, alternately left and right
 WEATHERS = ("as configured", "stubble 10 cm", "dust", "fog 60 m", "rain 100 m", "waves", "side slope")
 CLEAR = ("as configured", "stubble 10 cm", "waves", "side slope")
@@ -75,7 +64,8 @@ def scenario_of(weather: str, seed: int, sensors: str) -> dict[str, Any]:
     at = SLOTS * seed % (2 * len(OBJECTS))
     names = [OBJECTS[(at + k) % len(OBJECTS)] for k in range(SLOTS)]
     objects = [_object(name, k, moves=(at + k) // len(OBJECTS) % 2 == 1) for k, name in enumerate(names)]
-    off = [topic for topic in _topics() if topic.startswith(SENSORS[sensors])] if SENSORS[sensors] else []
+    fitted = load_setup("line", None, None, None, 1).vehicle.sensors
+    off = [f"{kind}/{name}" for kind in SENSORS[sensors] for name in sensors_of(fitted, kind)]
     return {
         "name": f"classes {weather} {seed}", "objects": objects,
         "operator_commands": [{"at_s": 3.0, "command": "start", "expires_s": 5.0}],
@@ -92,11 +82,6 @@ def _object(name: str, slot: int, moves: bool) -> dict[str, Any]:
     place["heading_deg"] = [-20.0, 20.0] if moves and slot % 3 else [160.0, 200.0] if moves else [-180.0, 180.0]
     walk = {"kind": "cross", "speed_mps": list(MOVING_MPS[name]), "distance_m": 60.0} if moves else {"kind": "stand"}
     return {"name": f"{name} {slot}", "object": name, "place": place, "behaviour": walk}
-
-
-def _topics() -> list[str]:
-    sensors = load_setup("line", None, None, None, 1).vehicle.sensors
-    return [f"radar/{name}" for name in sensors.radar] + [f"ultrasonic/{name}" for name in sensors.ultrasonic]
 
 
 def drive(case: tuple[str, str, int], out: Path) -> Row:

@@ -79,16 +79,13 @@ class Departure:
         distance_m = self._distance_m(hits_odom_m, area, pose_odom, 0.0)
         is_blocking = distance_m <= self._config.ahead_m
         blocking, beside = hits_odom_m[is_blocking], hits_odom_m[~is_blocking]
-        seen: list[_Body] = []
-        others = self._bodies
-        for group in groups_of(blocking, self._config.follow_m):
-            is_before = [
-                bool(is_near(blocking[group], one.points_odom_m, self._config.follow_m).any()) for one in self._bodies
-            ]
-            before = [one for one, found in zip(self._bodies, is_before, strict=True) if found]
+        seen, others, follow_m = list[_Body](), self._bodies, self._config.follow_m
+        for group in groups_of(blocking, follow_m):
+            points = blocking[group]
+            before = [one for one in self._bodies if is_near(points, one.points_odom_m, follow_m).any()]
             others = [one for one in others if one not in before]
             near_m = float(distance_m[is_blocking][group].min())
-            seen.append(self._seen(blocking[group], near_m, before, beside, now_ns))
+            seen.append(self._seen(points, near_m, before, beside, now_ns))
         self._bodies = seen + [one for one in others if not self._has_gone(one, beside, area, pose_odom, now_ns)]
 
     def _seen(self, points_odom_m: Float64, near_m: float, before: list[_Body], beside: Float64, now_ns: int) -> _Body:

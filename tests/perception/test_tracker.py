@@ -302,6 +302,17 @@ def test_class_by_shape_and_speed():
     assert published[-1].tracks[0].confidence > 0.9
 
 
+def class_of(size_m: tuple[float, float, float], speed_mps: float, up_m: float) -> ObstacleClass:
+    """Class of a body of this size that moves away for 2 s, its centre at this height."""
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
+    scans = [
+        replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, up_m]], sizes=size_m), class_scores=scores)
+        for t in stamps(10, 2.0)
+    ]
+    (track,) = run(new_tracker(LIDAR), scans)[-1].tracks
+    return track.label
+
+
 @pytest.mark.parametrize(
     ("size_m", "speed_mps", "is_person"),
     [
@@ -314,14 +325,7 @@ def test_class_by_shape_and_speed():
     ],
 )  # fmt: skip
 def test_cyclist_is_a_person(size_m, speed_mps, is_person):
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
-    scans = [
-        replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.9]], sizes=size_m), class_scores=scores)
-        for t in stamps(10, 2.0)
-    ]
-    published = run(new_tracker(LIDAR), scans)
-    (track,) = published[-1].tracks
-    assert (track.label is ObstacleClass.PERSON) == is_person
+    assert (class_of(size_m, speed_mps, 0.9) is ObstacleClass.PERSON) == is_person
 
 
 @pytest.mark.parametrize(
@@ -339,13 +343,7 @@ def test_cyclist_is_a_person(size_m, speed_mps, is_person):
     ],
 )  # fmt: skip
 def test_class_of_shape(size_m, speed_mps, label):
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
-    scans = [
-        replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, 0.3]], sizes=size_m), class_scores=scores)
-        for t in stamps(10, 2.0)
-    ]
-    (track,) = run(new_tracker(LIDAR), scans)[-1].tracks
-    assert track.label is label
+    assert class_of(size_m, speed_mps, 0.3) is label
 
 
 def test_no_output_without_odometry():
