@@ -1,7 +1,7 @@
 """Class of tracks from shape over time and speed.
 
-A cyclist, whom no shape of a standing person covers, is a person; what has no class, is small and runs is an animal;
-what floated a moment ago and is fast flies.
+A cyclist, whom no shape of a standing person covers, is a person, unless there was clear space beneath, as of dust;
+what has no class, is small and runs is an animal; what floated a moment ago and is fast flies.
 """
 
 import numpy as np
@@ -43,6 +43,7 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     share[:, UNKNOWN] -= runner
     share[:, ANIMAL] += runner
     cyclist = moving_probability(CYCLIST, table.size_m, np.where(is_young, CYCLIST_SPEED_MPS, speed))
+    cyclist *= 1.0 - share[:, AIRBORNE]
     share *= 1.0 - cyclist[:, None]
     share[:, PERSON] += cyclist
     share[(table.last_ns - table.floated_ns <= FLOATED_NS) & (speed >= FLIGHT_MPS)] = np.eye(len(CLASSES))[AIRBORNE]

@@ -49,7 +49,8 @@ class NoiseConfig(Config):
 class Detections:
     """One sensor's obstacles in `odom`, K rows; `R` (K, 2, 2) is the noise of their centres.
 
-    Without bearing, as of echoes, they show no motion: plants and walls seem to go along with the machine.
+    `shows_motion` (K,): those of lidars, of cameras, and with a measured velocity. Echoes without bearing from plants
+    and walls seem to go along with the machine, and the centre of a fence is that of its reflections in view.
     `max_speed_mps` (K,) is the bound from long-occupied cells, or infinite; `velocity_mps` (K, 2) and `body_length_m`
     (K,), the length of the class that a camera detects, are NaN where unknown; `evidence` (K,) is that of existence,
     `class_log_scores` (K, 8) that of the classes.
@@ -59,7 +60,7 @@ class Detections:
     sensor: int
     kind: KindConfig
     is_lidar: bool
-    has_bearing: bool
+    shows_motion: Bool
     p_m: Float64
     R: Float64
     size_m: Float64
@@ -86,12 +87,13 @@ def to_odom(
     """Detections from the obstacles of one message; updates the static occupancy with them."""
     yaw, kind = yaw_of(T_odom_base), kinds[kind_of(obstacles.sensor)]
     c, s = np.cos(yaw), np.sin(yaw)
-    is_lidar, is_camera, is_echo = (obstacles.sensor.startswith(name) for name in ("lidar", "camera", "ultrasonic"))
+    is_lidar, is_camera = (obstacles.sensor.startswith(name) for name in ("lidar", "camera"))
     points = apply(T_odom_base, obstacles.points_base_m)
     yaws = obstacles.yaw_rad + yaw
     body = obstacles.size_m[:, :2].max(axis=1) if len(yaws) else np.empty(0)
+    shows_motion = np.isfinite(obstacles.velocity_mps).all(axis=1) | np.bool_(is_lidar or is_camera)
     return Detections(
-        obstacles.stamp_ns, sensor, kind, is_lidar, not is_echo,
+        obstacles.stamp_ns, sensor, kind, is_lidar, np.asarray(shows_motion),
         np.asarray(apply(T_odom_base, obstacles.center_base_m), np.float64),
         box_noise(obstacles.sigma_m, yaws, 0.0, 1.0) if len(obstacles.sigma_m)
         else box_noise(obstacles.size_m, yaws, noise.position_sigma_m, noise.size_share),

@@ -87,8 +87,8 @@ def update(
         table.moving_since_ns[jumped[is_long]] = 0
     _correct_velocity(x, P, detections, rows, config)
     table.x[tracks], table.P[tracks] = x, P
-    if detections.has_bearing:
-        _confirm_motion(table, tracks, z, detections.stamp_ns, config)
+    shows = detections.shows_motion[rows]
+    _confirm_motion(table, tracks[shows], z[shows], detections.stamp_ns, config)
     _remember(table, tracks[~is_piece], detections, rows[~is_piece])
     _update_boxes(table, tracks, detections, rows, is_piece, fixed | is_jump, lidars)
     _add_evidence(table, tracks, detections, rows, is_piece, config)

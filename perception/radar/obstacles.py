@@ -95,7 +95,7 @@ class RadarObstacles(Node):
         self._stamp_ns = scan.stamp_ns
         published = (confirmed(self._table, config.tracklets)[row] > 0) & ~is_inside(clusters.p_m, self._own[is_folded])
         turn = odom.T_odom_base[:2, :2] / math.hypot(odom.T_odom_base[0, 0], odom.T_odom_base[1, 0])
-        velocity = velocities(self._table, config.tracklets)[row] @ turn
+        velocity = velocities(self._table, row, clusters, config.tracklets) @ turn
         return self._message(scan.stamp_ns, clusters, velocity, sigma, published)
 
     def _message(self, stamp_ns: int, c: Clusters, velocity: Float64, sigma: Float64, published: Bool) -> Obstacles:
@@ -123,7 +123,7 @@ def warm() -> None:
     tracklets = TrackletConfig(
         target_sigma_m=0.1, acceleration_mps2=1.0, initial_speed_sigma_mps=1.0, gate_sigma=3.0, confirm_hits=1,
         confirm_s=0.0,
-        confirm_share=1.0, keep_s=1.0, velocity_sigma_mps=1.0,
+        confirm_share=1.0, keep_s=1.0, velocity_sigma_mps=1.0, long_m=1.0,
     )  # fmt: skip
     echoes = Echoes(np.zeros((1, 3)), np.array([[1.0, 0.0]]), np.ones(1), np.zeros(1), np.zeros(1), np.ones(1))
     found = find_clusters(echoes, 0.01, clusters)

@@ -4,6 +4,7 @@ State (x, y, vx, vy) in `odom`. A cycle measures range, bearing and speed along 
 sigmas, so that three scalar corrections suffice (no matrix is inverted).
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -31,6 +32,9 @@ class TrackletConfig(Config):
     confirm_share: float = Field(gt=0.0, le=1.0, description="of the cycles since the first, with a detection")
     keep_s: float = Field(gt=0.0, le=5.0)
     velocity_sigma_mps: float = Field(gt=0.0, le=5.0, description="greatest sigma of a published velocity")
+    long_m: float = Field(
+        gt=0.0, le=20.0, description="of a target across the line of sight; above it only Doppler shows motion"
+    )
 
 
 @dataclass
@@ -73,10 +77,13 @@ def empty_table() -> TrackletTable:
 
 
 def sigmas(clusters: Clusters, radar: Radar, config: TrackletConfig) -> Float64:
-    """Sigma (K, 2) of the centres, along and across the line of sight."""
+    """Sigma (K, 2) of the centres, along and across the line of sight.
+
+    The centre of a fence or wall is that of the reflections in view, which change as the machine turns.
+    """
     along = np.full(len(clusters), np.hypot(radar.range_sigma_m, config.target_sigma_m))
     across = np.hypot(clusters.range_m * np.radians(radar.azimuth_sigma_deg), config.target_sigma_m)
-    return np.stack([along, across], axis=1)
+    return np.asarray(np.hypot(np.stack([along, across], axis=1), clusters.extent_m / math.sqrt(12.0)), np.float64)
 
 
 def to_odom(clusters: Clusters, sigma_m: Float64, radar: Radar, T_odom_base: Float64) -> TargetDetections:
@@ -150,12 +157,17 @@ def confirmed(table: TrackletTable, config: TrackletConfig) -> Int64:
     return np.asarray(lasted & repeats, np.int64)
 
 
-def velocities(table: TrackletTable, config: TrackletConfig) -> Float64:
-    """Velocity (T, 2) in `odom`; NaN while its sigma in any direction exceeds `velocity_sigma_mps`."""
-    S = table.P[:, 2:, 2:]
+def velocities(table: TrackletTable, rows: Int64, clusters: Clusters, config: TrackletConfig) -> Float64:
+    """Velocity (K, 2) in `odom` of the tracklets in `rows` (K,), those of the clusters; NaN where it is not measured.
+
+    That is while its sigma in any direction exceeds `velocity_sigma_mps`, and where a cluster longer than `long_m`
+    across the line of sight has no speed along it: another part of a fence in view is no motion.
+    """
+    S = table.P[rows, 2:, 2:]
     mean, half = (S[:, 0, 0] + S[:, 1, 1]) / 2, (S[:, 0, 0] - S[:, 1, 1]) / 2
     worst = mean + np.hypot(half, S[:, 0, 1])
-    return np.where((worst <= config.velocity_sigma_mps**2)[:, None], table.x[:, 2:], np.nan)
+    is_view = (clusters.extent_m[:, 1] > config.long_m) & (np.abs(clusters.radial_mps) < config.velocity_sigma_mps)
+    return np.where((~is_view & (worst <= config.velocity_sigma_mps**2))[:, None], table.x[rows, 2:], np.nan)
 
 
 def _predict(x: Float64, P: Float64, dt_s: float, acceleration_mps2: float) -> None:

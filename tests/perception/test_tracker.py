@@ -302,9 +302,9 @@ def test_class_by_shape_and_speed():
     assert published[-1].tracks[0].confidence > 0.9
 
 
-def class_of(size_m: tuple[float, float, float], speed_mps: float, up_m: float) -> ObstacleClass:
+def class_of(size_m: tuple[float, float, float], speed_mps: float, up_m: float, floats: bool = False) -> ObstacleClass:
     """Class of a body of this size that moves away for 2 s, its centre at this height."""
-    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.zeros(1, bool), np.zeros(1, np.uint8))
+    scores = class_scores(np.array([size_m]), np.array([size_m[2]]), np.array([floats]), np.zeros(1, np.uint8))
     scans = [
         replace(message(t, [[10.0 + speed_mps * (t - START) / NS, 1.0, up_m]], sizes=size_m), class_scores=scores)
         for t in stamps(10, 2.0)
@@ -326,6 +326,10 @@ def class_of(size_m: tuple[float, float, float], speed_mps: float, up_m: float) 
 )  # fmt: skip
 def test_cyclist_is_a_person(size_m, speed_mps, is_person):
     assert (class_of(size_m, speed_mps, 0.9) is ObstacleClass.PERSON) == is_person
+
+
+def test_dust_of_the_size_and_speed_of_a_cyclist_is_airborne():
+    assert class_of((1.5, 0.6, 1.55), 2.3, 0.9, floats=True) is ObstacleClass.AIRBORNE
 
 
 @pytest.mark.parametrize(

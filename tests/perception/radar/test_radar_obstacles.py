@@ -172,6 +172,18 @@ def test_velocity_of_moving_and_static_targets() -> None:
     np.testing.assert_allclose(obstacles.class_scores.sum(axis=1), 1.0)
 
 
+def test_part_of_a_fence_in_view_that_changes_is_no_motion() -> None:
+    node, fence = RadarObstacles("front", RADAR, VEHICLE, None, CONFIG), np.arange(-4.0, 5.0, 0.7)
+    moving = 0
+    for k in range(60):
+        odom, begin = odometry(S + k * CYCLE), -3.5 + 1.5 * k / 20  # the view goes along the fence at 1.5 m/s
+        rows = [echo(odom, (10.0, y), (0.0, 0.0)) for y in fence if begin <= y <= begin + 3.5]
+        obstacles = node.process(scan(S + k * CYCLE, rows), odom)
+        moving += int(np.isfinite(obstacles.velocity_mps).any())
+        assert (obstacles.sigma_m[:, 1] > 0.7).all()
+    assert moving == 0
+
+
 def test_obstacle_rate_from_clutter() -> None:
     ghosts = sum(len(drive([], cycles=30, clutter=8, seed=seed)[0].yaw_rad) for seed in range(10))
     assert ghosts <= 1
