@@ -125,6 +125,22 @@ def test_one_of_two_who_is_lost_stays_when_the_other_walks_out(departure: Clocke
     assert not departure.is_unresolved
 
 
+@clause("BD-5.2.4")
+@pytest.mark.parametrize("passes_m", [0.0, 0.9])
+def test_who_comes_to_where_another_was_lost_and_leaves_is_not_them(
+    departure: Clocked, area: SweptArea, passes_m: float
+) -> None:
+    departure.see(hits((6.0, 1.0)), area, scans=4)
+    departure.see(hits(), area, scans=6)
+    for y in np.arange(6.0, -6.0, -0.12):
+        departure.see(hits((6.0 + passes_m, y)), area)
+    assert departure.is_lost
+    departure.see(hits((6.0, 1.0)), area)
+    for y in np.arange(1.0, 6.0, 0.12):
+        departure.see(hits((6.0, y)), area)
+    assert not departure.is_unresolved  # who had lain there has stood up and left
+
+
 def test_two_who_part_are_two(departure: Clocked, area: SweptArea) -> None:
     for k in range(20):
         departure.see(hits((6.0, -0.1 * k), (6.0, 0.1 * k)), area)
