@@ -28,7 +28,8 @@ UNSEEN_NS = 500_000_000  # five scans: who walks past a post is not told from it
 class _Body:
     """Returns (N, 2) in odom that blocked the area last, of one body or some side by side, and when first and last.
 
-    `seen_ns`: when it was seen last, beside the area too; `is_ahead`: not seen leaving the area; `beside`: what was beside the area while this blocked it.
+    `seen_ns`: when it was seen last, beside the area too; `is_ahead`: not seen leaving the area; `beside`: what was
+    beside the area while this blocked it.
     """
 
     points_odom_m: Float64
@@ -98,7 +99,7 @@ class Departure:
         self._hits_odom_m = hits_odom_m
 
     def _may_be(self, body: _Body, points_odom_m: Float64, now_ns: int) -> Float64:
-        """Those of some returns that may be of a body: of one not seen, those that are not near any of the last scan."""
+        """Those returns that may be of a body: of one that is not seen, those where the last scan had none."""
         if now_ns - body.seen_ns < UNSEEN_NS or not len(self._hits_odom_m):
             return points_odom_m
         return np.asarray(points_odom_m[~is_near(points_odom_m, self._hits_odom_m, STEP_M)])

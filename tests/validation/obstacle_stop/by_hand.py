@@ -8,8 +8,8 @@ bend of constant curvature, so that its path is a ring about one centre.
 no demand.
 
 *Cyclist*: drifts from the right into the path, predictably, and is in it from 3.3 s on, 5.1 m ahead of the bumper;
-S(3.56 m/s) = 5.4 m: a stop is due at once. A speed limit of 2.4 m/s is requested at 2.55 s, a stop from
-2.75 s on, so that the worst-case brake acts from 2.85 s and the ghost falls behind the car. Its smallest gap is 4.5 m,
+S(3.56 m/s) = 5.4 m: a stop is due at once. A speed limit of 2.4 m/s is requested at 2.55 s, except for 0.04 s before
+the next scan, a stop from 2.75 s on, so that the worst-case brake acts from 2.89 s and the ghost falls behind the car. Its smallest gap is 4.5 m,
 at 3.5 s.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 FRONT_M, HALF_WIDTH_M, CAMERA_M = 3.66, 1.4, 0.27 + 0.76  # half width in manual driving: conditions file
 REACTION_S, DEAD_S, BUILD_UP_S, BRAKE_MPS2 = 0.6, 0.3, 0.4, 2.5  # docs/requirements.md section 4
-REQUEST_S = 2.548  # delivery of the first request to brake, which stands; the tests assert it
+REQUEST_S, WITHDRAWN_S = 2.548, 0.04  # delivery of the first request to brake, its interruption; the tests assert both
 SPEEDS_S = np.arange(25, 40) * 0.1
 SPEEDS_MPS = np.array([3.25, 3.25, 3.27, 3.29, 3.32, 3.36, 3.42, 3.49, 3.56, 3.64, 3.73, 3.82, 3.92, 4.01, 4.10])
 VAN_SPEED_MPS, VAN_CURVATURE_RADPM = 3.43, 0.040  # at 0 s; the bend is a little tighter there
@@ -94,6 +94,6 @@ def behind_m(t_s: float, request_s: float) -> float:
 
 def cyclist_margin_m(dx_m: float = 0.0, dy_m: float = 0.0, late_s: float = 0.0) -> float:
     """Smallest gap between ghost and cyclist after a request delivered late, with labels displaced."""
-    request_s = REQUEST_S + late_s
+    request_s = REQUEST_S + WITHDRAWN_S + late_s
     times = np.arange(max(request_s, CYCLIST_S[0]), CYCLIST_S[-1], 0.02).tolist()
     return min(cyclist_gap_m(t, dx_m, dy_m) + behind_m(t, request_s) for t in times)
