@@ -9,8 +9,8 @@ no demand.
 
 *Cyclist*: drifts from the right into the path, predictably, and is in it from 3.3 s on, 5.1 m ahead of the bumper;
 S(3.56 m/s) = 5.4 m: a stop is due at once. A speed limit of 2.4 m/s is requested at 2.55 s, except for 0.04 s before
-the next scan, a stop from 2.75 s on, so that the worst-case brake acts from 2.89 s and the ghost falls behind the car. Its smallest gap is 4.5 m,
-at 3.5 s.
+the next scan, a stop from 2.75 s on, so that the worst-case brake acts from 2.89 s and the ghost falls behind the car.
+Its smallest gap is 4.5 m, at 3.5 s.
 """
 
 import math
