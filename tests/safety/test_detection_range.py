@@ -216,7 +216,7 @@ def test_coverage_of_machine_lidars(vehicle: Vehicle, implement) -> None:
 def test_expected_density(vehicle: Vehicle, config: SafetyConfig) -> None:
     slopes, density = expected_density(front(vehicle), config.detection_range)
     assert slopes == pytest.approx(-1.95 / np.array(config.detection_range.beams_m))
-    assert density.sum() == pytest.approx(10 * 1024 / (2 * math.pi))
+    assert density.sum() == pytest.approx(16 * 1024 / (2 * math.pi))  # rings from -23 to -3 degrees
 
 
 def health(ranges: list[float], edges_rad: list[float] | None = None) -> SensorHealth:
@@ -246,7 +246,15 @@ def test_min_range_towards() -> None:
 
 def test_range_by_ratio_limits(config: SafetyConfig) -> None:
     for share in around(config.detection_range.blind_ratio, 0.01):
-        assert (range_by_ratio(np.full((3, 1), share), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
+        assert (range_by_ratio(np.full((5, 1), share), 40.0, config.detection_range)[0] > 0.0) == (share > 0.2), share
     for share in around(config.detection_range.good_ratio, 0.01):
-        full = range_by_ratio(np.full((3, 1), share), 40.0, config.detection_range)[0] >= 40.0
+        full = range_by_ratio(np.full((5, 1), share), 40.0, config.detection_range)[0] >= 40.0
         assert full == (share >= 0.6), share
+
+
+@pytest.mark.parametrize(("bands", "range_m"), [(5, 40.0), (4, 25.0), (3, 15.0), (2, 9.0)])
+def test_in_fog_the_range_ends_where_the_ground_is_no_longer_seen(
+    config: SafetyConfig, bands: int, range_m: float
+) -> None:
+    ratios = np.array([[1.0]] * bands + [[0.0]] * (5 - bands))
+    assert range_by_ratio(ratios, 40.0, config.detection_range)[0] == range_m
