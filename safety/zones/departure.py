@@ -21,7 +21,7 @@ NOWHERE = np.empty((0, 2))
 STILL_M = 0.15  # within which a return in the next scans is of the same thing
 STEP_M = 0.3  # within which one in the next scan is of the same walker
 BESIDE_NS, AGO_NS = 1_000_000_000, 300_000_000
-UNSEEN_NS = 500_000_000  # five scans: who walks past a post is not told from it for three
+UNSEEN_NS = 500_000_000  # five scans: who walks past a post counts as part of it for three
 
 
 @dataclass(eq=False)
