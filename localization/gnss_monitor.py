@@ -154,19 +154,22 @@ class GnssMonitor:
     def _suspect(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> Finding | None:
         limit = self._config.detect_sigmas
         ratios = {w: s.ratio for w, s in velocity.items()}
-        if max(ratios.values(), default=0.0) > limit:
+        by_velocity = max(ratios.values(), default=0.0)
+        if by_velocity > limit:
             return self._begin(VELOCITY, stamp_ns, ratios)
+        # a spoofer's velocity agrees with its positions
+        code = VELOCITY if by_velocity > self._config.seen_sigmas else ODOMETRY
         self.is_slipping = max((s.ratio for s in odometry.values()), default=0.0) > limit
         parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
         ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
         if self.is_slipping and max(ratios.values()) > limit:
-            return self._begin(ODOMETRY, stamp_ns, ratios)
+            return self._begin(code, stamp_ns, ratios)
         ratios = {
             w: s.ratio for w, s in lidar.items()
             if _apart(s, odometry[w]).ratio <= max(1.0, odometry[w].ratio)
         }  # fmt: skip  # wheels are nearer to the lidar
         if max(ratios.values(), default=0.0) > limit:
-            return self._begin(ODOMETRY, stamp_ns, ratios)
+            return self._begin(code, stamp_ns, ratios)
         if self._refused >= self._config.refused_fixes and not self.is_slipping:
             self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
         return None  # the graph has not followed refused fixes: nothing to exclude
