@@ -14,7 +14,7 @@ from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
 from localization.gnss_monitor import VELOCITY, GnssMonitor
-from localization.graph.keyframes import KeyframeBuilder
+from localization.graph.keyframes import KeyframeBuilder, Velocity
 from localization.graph.motion_start import MotionStart
 from localization.graph.smoother import SmootherFailure, State
 from localization.integrity import (
@@ -276,7 +276,7 @@ class MapAlignment:
             used = [] if self.monitor.suspicion else propagated
             reasons = self.keyframes.add(
                 stamp_ns, odometry.track, odometry.wheels, used, batch,
-                () if self._is_fixed(stamp_ns) else found, self._needs_ranges(stamp_ns),
+                () if self._is_fixed(stamp_ns) else found, self._needs_ranges(stamp_ns), self._velocity(fixes),
             )  # fmt: skip
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
@@ -288,7 +288,7 @@ class MapAlignment:
         for fix, reason in zip(fixes, reasons, strict=True):
             self._count(fix, reason)
         for fix in fixes:
-            swing = self._swing(fix.stamp_ns)
+            swing = self._swing(fix.stamp_ns, self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m)
             if swing is not None:
                 self.monitor.add(fix, swing)
         if before is not None:
@@ -350,12 +350,21 @@ class MapAlignment:
         by_path_m = slip_sigma * path_m
         return replace(moved, sigma_m=np.hypot(fix.sigma_m, by_path_m), total_m=np.hypot(fix.total_m, by_path_m))
 
-    def _swing(self, stamp_ns: int) -> Swing | None:
-        """Motion of the antenna about base at a fix, by the samples beside it."""
+    def _velocity(self, fixes: list[Position]) -> Velocity | None:
+        """Velocity of the IMU by the newest fix while positions contradict it: then it is right."""
+        if self.monitor.suspicion != VELOCITY or not fixes or not np.isfinite(fixes[-1].velocity_mps).all():
+            return None
+        swing = self._swing(fixes[-1].stamp_ns, self.keyframes.lever_arms.antenna_m)
+        if swing is None:
+            return None
+        sigma_mps = math.hypot(self._config.gnss_monitor.separation.sigma_mps(fixes[-1]), swing.sigma_mps)
+        return Velocity(fixes[-1].stamp_ns, fixes[-1].velocity_mps[:2] - swing.velocity_mps, sigma_mps)
+
+    def _swing(self, stamp_ns: int, arm_m: Float64) -> Swing | None:
+        """Motion of the antenna about the other end of an arm (3,) in base at a fix, by the samples beside it."""
         odometry, odom = self._odometry, self._odometry.history.at(stamp_ns)
         if odom is None or odometry.dead_reckoning is None:
             return None
-        arm_m = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
         rates = odometry.track.between(stamp_ns - SWING_NS, stamp_ns + SWING_NS).rate_radps
         turn = np.cross(rates.mean(axis=0) - odometry.dead_reckoning.calibration.gyro_bias_radps, arm_m)
         R = (planar(0.0, 0.0, yaw_of(self._T_map_odom)) @ odom)[:2, :3]  # the tilt of `odom` never steps

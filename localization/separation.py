@@ -49,6 +49,10 @@ class SeparationConfig(Config):
     course_deg: float = Field(gt=0.0, le=5.0, description="error of the mounts of lidar and antennas in yaw")
     course_walk_deg: float = Field(ge=0.0, le=1.0, description="change of that error, per square root of a second")
 
+    def sigma_mps(self, fix: Position) -> float:
+        """Sigma of the Doppler velocity of a fix; one that states none (NaN) has the lower bound."""
+        return max(self.velocity_sigma_mps, fix.velocity_sigma_mps)
+
 
 @dataclass(frozen=True)
 class Separation:
@@ -168,7 +172,7 @@ class VelocitySeparation:
             dt_s = (fix.stamp_ns - last.stamp_ns) * 1e-9
             if 0.0 < dt_s <= self._config.gnss_gap_s:
                 path_m = last.path_m + 0.5 * dt_s * (last.velocity_mps + velocity)
-                sigma = max(self._config.velocity_sigma_mps, fix.velocity_sigma_mps)  # NaN: unknown
+                sigma = self._config.sigma_mps(fix)
                 variance_m2 = last.variance_m2 + (sigma**2 + swing.sigma_mps**2) * dt_s**2
             else:
                 self.clear()
