@@ -46,6 +46,7 @@ class GnssMonitorConfig(Config):
     agree_floor_m: float = Field(gt=0.0, le=1.0)
     agree_s: float = Field(gt=0.0, le=60.0, description="duration of the agreement that ends a suspicion")
     reference_m: float = Field(gt=0.0, le=10.0, description="sigma above which a reference proves nothing")
+    return_s: float = Field(gt=0.0, le=60.0, description="longer times without fixed ambiguities end with a return")
     return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
     seen_sigmas: float = Field(gt=0.0, le=10.0, description="separations above may be the begin of an error")
     hold_s: float = Field(ge=0.0, le=600.0, description="longest multipath: for which those bounds are held")
@@ -73,6 +74,7 @@ class GnssMonitor:
         self.anchor_ns: int | None = None  # before what is suspected
         self._agreed_ns: int | None = None
         self._refused = 0
+        self._fixed_ns: int | None = None  # newest fix with fixed ambiguities
         self._held: deque[tuple[int, float]] = deque()  # time and bound
         self._level_m = 0.0
         self.suspicion = ""
@@ -83,7 +85,7 @@ class GnssMonitor:
         """Drops all measurements, after a gap, clock jump or start."""
         self.odometry.clear()
         self._velocity.clear()
-        self.anchor_ns = self._agreed_ns = None
+        self.anchor_ns = self._agreed_ns = self._fixed_ns = None
         self._held.clear()
         self._refused, self._level_m = 0, 0.0
         self.suspicion, self.is_slipping = "", False
@@ -102,6 +104,18 @@ class GnssMonitor:
         while self._held and self._held[0][0] <= stamp_ns - self._config.hold_s * 1e9:
             self._held.popleft()
         self._held.append((stamp_ns, bound_m))
+
+    def add_fixed(self, stamp_ns: int, bound_m: float) -> None:
+        """Takes a fix with fixed ambiguities, and the bound of its error by the position before it.
+
+        After a time without them they are wrong once in a thousand: the bound is held, or that by odometry.
+        """
+        since_ns, self._fixed_ns = self._fixed_ns, stamp_ns
+        if since_ns is None or stamp_ns - since_ns <= self._config.return_s * 1e9:
+            return
+        found = [self.odometry.since(since_ns), self.odometry.by_lidar_since(since_ns)]
+        by_odometry = [s.bound_m(self._config.return_sigmas) for s in found if s is not None]
+        self._hold(stamp_ns, min([bound_m, *by_odometry]))
 
     def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.

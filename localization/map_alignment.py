@@ -58,6 +58,7 @@ class MapAlignment:
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self._taken_ns: int | None = None  # newest fix since the start
+        self._accuracy_m = math.inf  # of the newest pose
         self._apart_m = 0.0  # of base from the position by the newest fix
         self.is_initialized = False
         self.failures: list[str] = []
@@ -312,6 +313,8 @@ class MapAlignment:
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
         self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
+        if fixes[-1].solution is GnssSolution.RTK_FIXED:
+            self.monitor.add_fixed(state.stamp_ns, self._accuracy_m + self.keyframes.gnss_gate.innovation_m)
         finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
         if finding is not None and self._undisputed_ns < self._accepted_ns:
             reference_m = base_m[:2] - finding.separation.d_m
@@ -482,6 +485,7 @@ class MapAlignment:
         source = position_source(used, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
+        self._accuracy_m = accuracy_m
         if source in BY_GNSS:
             level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps)
         elif source is PositionSource.DEAD_RECKONING:  # from a place that the stamps had shifted
