@@ -327,7 +327,7 @@ class KeyframeBuilder:
         self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
         cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
-        self.is_slipping = False
+        was_slipping, self.is_slipping = self.is_slipping, False
         if not self._has_wheels:
             rate_radps = (steps.rate_radps * steps.dt_s[:, None]).sum(axis=0) / float(steps.dt_s.sum())
             return [no_sideslip_factor(key, rate_radps, self.lever_arms.base_m, cfg.sideslip_mps)]
@@ -343,11 +343,12 @@ class KeyframeBuilder:
             return [standstill_factor(key - 1, key, *self._standstill_sigmas(steps, last.bias[3:]))]
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
-        inertial_mps = math.hypot(accelerometer_density * math.sqrt(dt_s), float(np.max(last.sigmas[6:8])))
-        max_slip_mps += 3.0 * inertial_mps
+        max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
+        if not was_slipping:
+            max_slip_mps += 3.0 * float(np.max(last.sigmas[6:8]))
         self.is_slipping = slip_mps > max_slip_mps
         if self.is_slipping:
-            sigma[0] = slip_mps * dt_s
+            sigma[0] = slip_mps
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 
     def _standstill_sigmas(self, steps: Steps, gyro_bias_radps: Float64) -> tuple[Float64, Float64]:
