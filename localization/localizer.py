@@ -214,6 +214,9 @@ class Localizer(Node):
             alignment.resume(self._gap_s, odometry.speed_mps)
         self._gap_s = None
         odometry.advance()
+        unmeasured_s = odometry.plausibility.imu.take_unmeasured_s()
+        if unmeasured_s > 0.0:
+            alignment.widen(unmeasured_s, odometry.speed_mps)
         if alignment.is_initialized:
             alignment.advance()
         else:

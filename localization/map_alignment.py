@@ -212,11 +212,14 @@ class MapAlignment:
 
     def resume(self, gap_s: float, speed_mps: float) -> bool:
         """Continues after a gap at the newest IMU sample with a larger covariance; False when the gap is too long."""
-        state = self.state
-        if state is None:
-            return False
         if abs(speed_mps) > 0.05 and gap_s > self._config.max_bridge_s:
             self.is_initialized = False
+        return self.widen(gap_s, speed_mps)
+
+    def widen(self, gap_s: float, speed_mps: float) -> bool:
+        """Continues at the newest IMU sample with what may have changed in a time without measurements of it."""
+        state = self.state
+        if state is None:
             return False
         added_sigmas = np.repeat(
             [
@@ -229,7 +232,7 @@ class MapAlignment:
         T = self._T_map_odom @ self._odom_now() @ self.keyframes.lever_arms.T_base_body
         velocity = T[:3, 0] * speed_mps
         sigmas = state.sigmas.copy()
-        sigmas[6:9] = np.maximum(sigmas[6:9], 0.2)
+        sigmas[6:9] = np.maximum(sigmas[6:9], max(0.2, self._config.resume_speed_ratio * abs(speed_mps)))
         resumed = replace(
             state, stamp_ns=self._odometry.stamp_ns, T_map_body=T, velocity_mps=velocity,
             covariance=state.covariance + np.diag(added_sigmas**2), sigmas=sigmas,
