@@ -52,6 +52,40 @@ def test_frozen_imu_limit():
     assert check.suspicion() is None
 
 
+def test_interpolated_samples_are_no_measurements():
+    check, rng = ImuCheck(CONFIG), np.random.default_rng(1)
+    for k in range(120):
+        is_lost = 40 <= k < 80
+        check.add(k * STEP_NS, REST + (1e-3 * (k - 40) if is_lost else 1e-3 * rng.standard_normal(6)))
+        assert (check.suspicion() is not None) == (40 + CONFIG.frozen_samples - 1 <= k < 80)
+        assert check.take_unmeasured_s() == (pytest.approx(39 * STEP_NS * 1e-9) if k == 80 else 0.0)
+
+
+def test_interpolated_samples_hide_a_turn_from_the_heading():
+    truth = drive(16.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
+    imu = [m for _, topic, m in truth.messages if topic == "imu"]
+    from_s, to_s = 10.0, 11.0
+    lost = [m for m in imu if from_s <= (m.stamp_ns - START_NS) * 1e-9 <= to_s]
+    stamps = [lost[0].stamp_ns, lost[-1].stamp_ns]
+
+    def interpolated(message, field):
+        ends = np.array([getattr(lost[0], field), getattr(lost[-1], field)])
+        return np.array([np.interp(message.stamp_ns, stamps, ends[:, k]) for k in range(3)])
+
+    messages = [
+        (a, t, replace(m, **{f: interpolated(m, f) for f in ("acceleration_mps2", "rate_radps")}))
+        if t == "imu" and stamps[0] <= m.stamp_ns <= stamps[1] else (a, t, m)
+        for a, t, m in truth.messages
+        if not (t.startswith("gnss") and from_s <= (m.stamp_ns - START_NS) * 1e-9)
+    ]  # fmt: skip
+    result = run(messages)
+    t_s = np.array([(p.stamp_ns - START_NS) * 1e-9 for p in result.poses])
+    sigma_deg = np.degrees([math.sqrt(p.covariance[2, 2]) for p in result.poses])
+    assert np.max(sigma_deg[(t_s > 9.0) & (t_s < 10.5)]) < 1.0
+    assert np.min(sigma_deg[t_s > 12.0]) > 5.0
+    assert "imu.frozen" in {f.code for f in result.faults}
+
+
 def test_noise_limits():
     for sigma in around(CONFIG.max_noise_mps2, 1e-3):
         code = shaken(sigma / math.sqrt(2.0), slice(0, 3))
