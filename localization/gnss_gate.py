@@ -169,10 +169,11 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
     change = np.where(np.isnan(fix.sigma_enu_m), floor, sigma)
+    fast_m, white_m = row.fast_share * change, config.white_share * change
     return Position(
         fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
-        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, row.fast_share * change, config.white_share * change,
-        row.correlation_s, config.fast_s, row.is_estimated,
+        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, fast_m, white_m, row.correlation_s,
+        config.fast_s, row.is_estimated,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ Hypotheses of one fault at a time, each with the sigmas that its prior leaves of
 
     wrong fix or multipath:  the position is wrong, the Doppler velocity right    1e-2 / h
     spoofing:                position and velocity are wrong and agree             1e-4 / h
+    wrong ambiguities:       at the return of fixed ones                           1e-3 each
     stamps:                  all fixes are late or early                           present for good
 
 A fault that began within a window shows as separation of that window; what does not show is bounded by
