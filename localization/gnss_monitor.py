@@ -175,10 +175,11 @@ class GnssMonitor:
         # a spoofer's velocity agrees with its positions
         code = VELOCITY if by_velocity > self._config.seen_sigmas else ODOMETRY
         self.is_slipping = max((s.ratio for s in odometry.values()), default=0.0) > limit
-        parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
-        ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
-        if self.is_slipping and max(ratios.values()) > limit:
-            return self._begin(code, stamp_ns, ratios)
+        if self.is_slipping:
+            parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
+            ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
+            if max(ratios.values()) > limit:
+                return self._begin(code, stamp_ns, ratios)
         ratios = {
             w: s.ratio for w, s in lidar.items()
             if _apart(s, odometry[w]).ratio <= max(1.0, odometry[w].ratio)
