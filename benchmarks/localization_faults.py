@@ -187,6 +187,7 @@ def _without_heading(fix: GnssFix, s: float, d: Draw) -> GnssFix:
     return replace(fix, heading_rad=math.nan, sigma_heading_rad=math.nan)
 
 
+IMU_GAP = Case("IMU gap 0.2 s", lambda m, s, d: None if isinstance(m, ImuSample) else m, from_s=48.0, for_s=0.2)
 NONE, SINGLE, FLOAT = GnssSolution.NONE, GnssSolution.SINGLE, GnssSolution.RTK_FLOAT
 CASES = (
     Case("clean", lambda m, s, d: m, is_clean=True),
@@ -210,6 +211,7 @@ CASES = (
     _together(_multipath(0.5, 60), Case("one antenna", _fix(_without_heading), 0.0)),
     _together(_slip(0.25), _stamps(50)), _together(worse(NONE, 60.0), _slip(0.25)),
     _together(worse(NONE, 60.0), _stamps(-50), _lever_arm(0.05)),
+    _together(_wrong_fix(0.5), IMU_GAP), _together(_multipath(0.3, 60), IMU_GAP), _together(_ramp(0.3, True), IMU_GAP),
 )  # fmt: skip
 
 

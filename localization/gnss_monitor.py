@@ -77,19 +77,29 @@ class GnssMonitor:
         self._refused = 0
         self._fixed_ns: int | None = None  # newest fix with fixed ambiguities
         self._held: deque[tuple[int, float]] = deque()  # time and bound
-        self._level_m = 0.0
+        self._level_m = self._carried_m = 0.0
+        self._carried_ns: int | None = None  # first fix after an interruption
         self.suspicion = ""
         self.detail = ""
         self.is_slipping = False
 
     def clear(self) -> None:
-        """Drops all measurements, after a gap, clock jump or start."""
+        """Drops everything, at a start."""
+        self._drop()
+        self._carried_m, self.suspicion = 0.0, ""
+
+    def interrupt(self) -> None:
+        """Drops all paths, after a gap or clock jump: a suspicion lasts, and what was not seen before is carried."""
+        carried_m = self._carried_m + max([self._level_m, *(bound_m for _, bound_m in self._held)])
+        self._drop()
+        self._carried_m = carried_m
+
+    def _drop(self) -> None:
         self.odometry.clear()
         self._velocity.clear()
-        self.anchor_ns = self._agreed_ns = self._fixed_ns = None
+        self.anchor_ns = self._agreed_ns = self._fixed_ns = self._carried_ns = None
         self._held.clear()
-        self._refused, self._level_m = 0, 0.0
-        self.suspicion, self.is_slipping = "", False
+        self._refused, self._level_m, self.is_slipping = 0, 0.0, False
 
     def add(self, fix: Position, swing: Swing) -> None:
         """Takes every fix that passed the checks of form, whether or not it is used."""
@@ -98,7 +108,9 @@ class GnssMonitor:
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
         since_ns = stamp_ns - self._config.hold_s * 1e9
-        return max([self._level_m, *(bound_m for held_ns, bound_m in self._held if held_ns > since_ns)])
+        is_carried = self._carried_ns is None or self._carried_ns > since_ns
+        held_m = [bound_m for held_ns, bound_m in self._held if held_ns > since_ns]
+        return max([self._level_m, *held_m]) + (self._carried_m if is_carried else 0.0)
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
@@ -118,14 +130,17 @@ class GnssMonitor:
         by_odometry = [s.bound_m(self._config.return_sigmas) for s in found if s is not None]
         self._hold(stamp_ns, min([bound_m, *by_odometry]))
 
-    def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
+    def evaluate(self, stamp_ns: int, is_outlier: bool, apart: Separation) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.
 
-        `is_outlier`: the fix contradicts the prediction of the graph.
+        `is_outlier`: the fix contradicts the prediction of the graph. `apart`: separation of the fix from the graph,
+        the reference of a suspicion after an interruption.
         """
+        if self._carried_ns is None:
+            self._carried_ns = stamp_ns
         self._refused = self._refused + 1 if is_outlier else 0
         if self.suspicion:
-            self._follow(stamp_ns)
+            self._follow(stamp_ns, apart)
             return None
         velocity = self._by_window(self._velocity.since, stamp_ns)
         odometry = self._by_window(self.odometry.since, stamp_ns)
@@ -209,15 +224,16 @@ class GnssMonitor:
 
     def _reference(self) -> Separation | None:
         """Separation since the anchor from the best reference that the suspicion leaves."""
-        assert self.anchor_ns is not None, "called while a suspicion lasts"
+        if self.anchor_ns is None:
+            return None
         found = [self.odometry.since(self.anchor_ns), self.odometry.by_lidar_since(self.anchor_ns)]
         if self.suspicion != ODOMETRY:
             found.append(self._velocity.since(self.anchor_ns))
         return min((s for s in found if s is not None), key=lambda s: s.sigma_m, default=None)
 
-    def _follow(self, stamp_ns: int) -> None:
+    def _follow(self, stamp_ns: int, apart: Separation) -> None:
         """Ends the suspicion when the receiver has agreed with the reference for the configured time."""
-        cfg, reference = self._config, self._reference()
+        cfg, reference = self._config, apart if self.anchor_ns is None else self._reference()
         if self.suspicion == VELOCITY:
             self._level_m = 0.0  # the receiver contradicts itself: the reference is right
         elif reference is not None:

@@ -28,7 +28,7 @@ from localization.integrity import (
 from localization.lidar.odometry_spans import OdometrySpans, motion_between
 from localization.lidar.pose_measurement import PoseMeasurements
 from localization.odometry import OdometryEstimator
-from localization.separation import Swing
+from localization.separation import Separation, Swing
 from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssSolution
 
@@ -112,7 +112,7 @@ class MapAlignment:
         self._taken_ns = None
         self.odometry_spans.clear()
         self.pose_measurements.clear()
-        self.monitor.clear()
+        self.monitor.interrupt()
         self.motion_start.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
@@ -315,10 +315,13 @@ class MapAlignment:
         R = state.T_map_body[:3, :3]
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
-        self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
+        apart_m = (base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]
+        self._apart_m = float(np.linalg.norm(apart_m))
         if fixes[-1].solution is GnssSolution.RTK_FIXED:
             self.monitor.add_fixed(state.stamp_ns, self._accuracy_m + self.keyframes.gnss_gate.innovation_m)
-        finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
+        covariance = (R @ state.covariance[3:, 3:] @ R.T)[:2, :2] + np.diag(fixes[-1].total_m[:2] ** 2)
+        apart = Separation(0.0, apart_m, covariance, np.zeros(2))
+        finding = self.monitor.evaluate(state.stamp_ns, is_outlier, apart)
         if finding is not None and self._undisputed_ns < self._accepted_ns:
             reference_m = base_m[:2] - finding.separation.d_m
             self._restart(excluded(state, T_base_body, reference_m, finding))
