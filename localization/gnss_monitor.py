@@ -85,21 +85,19 @@ class GnssMonitor:
 
     def clear(self) -> None:
         """Drops everything, at a start."""
-        self._drop()
-        self._carried_m, self.suspicion = 0.0, ""
-
-    def interrupt(self) -> None:
-        """Drops all paths, after a gap or clock jump: a suspicion lasts, and what was not seen before is carried."""
-        carried_m = self._carried_m + max([self._level_m, *(bound_m for _, bound_m in self._held)])
-        self._drop()
-        self._carried_m = carried_m
-
-    def _drop(self) -> None:
         self.odometry.clear()
         self._velocity.clear()
         self.anchor_ns = self._agreed_ns = self._fixed_ns = self._carried_ns = None
         self._held.clear()
-        self._refused, self._level_m, self.is_slipping = 0, 0.0, False
+        self._refused, self._level_m, self._carried_m = 0, 0.0, 0.0
+        self.suspicion, self.is_slipping = "", False
+
+    def interrupt(self) -> None:
+        """Drops all paths, after a gap or clock jump: a suspicion lasts, and what was not seen before is carried."""
+        carried_m = self._carried_m + max([self._level_m, *(bound_m for _, bound_m in self._held)])
+        suspicion = self.suspicion
+        self.clear()
+        self._carried_m, self.suspicion = carried_m, suspicion
 
     def add(self, fix: Position, swing: Swing) -> None:
         """Takes every fix that passed the checks of form, whether or not it is used."""
@@ -108,9 +106,8 @@ class GnssMonitor:
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
         since_ns = stamp_ns - self._config.hold_s * 1e9
-        is_carried = self._carried_ns is None or self._carried_ns > since_ns
         held_m = [bound_m for held_ns, bound_m in self._held if held_ns > since_ns]
-        return max([self._level_m, *held_m]) + (self._carried_m if is_carried else 0.0)
+        return self._carried_m + max([self._level_m, *held_m])
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
@@ -138,6 +135,8 @@ class GnssMonitor:
         """
         if self._carried_ns is None:
             self._carried_ns = stamp_ns
+        elif stamp_ns - self._carried_ns > self._config.hold_s * 1e9:
+            self._carried_m = 0.0
         self._refused = self._refused + 1 if is_outlier else 0
         if self.suspicion:
             self._follow(stamp_ns, apart)
