@@ -23,7 +23,7 @@ class Case:
     """A fault from `from_s` (with the drawn offset) for `for_s`; `edit` changes a message, None removes it.
 
     `edit(message, elapsed_s, draw)`: time since the fault began, and the numbers drawn for this drive.
-    In a clean case every alarm is false.
+    `beside`: further faults, each over its own time. In a clean case every alarm is false.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Case:
     for_s: float = math.inf
     legs: str = "field"
     is_clean: bool = False
+    beside: tuple["Case", ...] = ()
 
     def window_s(self, draw: "Draw") -> tuple[float, float]:
         """Begin and end of the fault."""
@@ -129,6 +130,33 @@ def _stamps(shift_ms: int) -> Case:
     return Case(f"gnss stamps {shift_ms:+d} ms", edit, 0.0)
 
 
+def _stamp_step(shift_ms: int) -> Case:
+    return replace(_stamps(shift_ms), name=f"gnss stamps {shift_ms:+d} ms 20 s", from_s=40.0, for_s=20.0)
+
+
+def _old_corrections(rate_mps: float) -> Case:
+    """Corrections stop; ambiguities stay fixed and the error grows."""
+
+    def edit(fix: GnssFix, s: float, d: Draw) -> GnssFix:
+        return replace(moved(fix, rate_mps * s * d.east, rate_mps * s * d.north), correction_age_s=1.0 + s)
+
+    return Case(f"corrections stop 40 s, error {1000 * rate_mps:g} mm/s", _fix(edit), for_s=40.0)
+
+
+def _fewer_satellites(size_m: float) -> Case:
+    """A constellation drops out: its share of the slow error with it."""
+
+    def edit(fix: GnssFix, s: float, d: Draw) -> GnssFix:
+        return replace(moved(fix, size_m * d.east, size_m * d.north), satellites=6, constellations="BDS")
+
+    return Case(f"BDS only, {100 * size_m:g} cm 30 s", _fix(edit), for_s=30.0)
+
+
+def _together(first: Case, *others: Case) -> Case:
+    """Several faults in one drive; the times are judged by the first."""
+    return replace(first, name=" + ".join(c.name for c in (first, *others)), beside=others)
+
+
 def _lever_arm(offset_m: float) -> Case:
     """The antenna is mounted beside the configured place; `heading_rad` turns the offset to `map`."""
 
@@ -159,6 +187,7 @@ def _without_heading(fix: GnssFix, s: float, d: Draw) -> GnssFix:
     return replace(fix, heading_rad=math.nan, sigma_heading_rad=math.nan)
 
 
+IMU_GAP = Case("IMU gap 0.2 s", lambda m, s, d: None if isinstance(m, ImuSample) else m, from_s=48.0, for_s=0.2)
 NONE, SINGLE, FLOAT = GnssSolution.NONE, GnssSolution.SINGLE, GnssSolution.RTK_FLOAT
 CASES = (
     Case("clean", lambda m, s, d: m, is_clean=True),
@@ -172,18 +201,31 @@ CASES = (
     worse(FLOAT, 20.0, 0.0, True), worse(SINGLE, 20.0, 0.0, True),
     Case("start with one antenna", _fix(_without_heading), 0.0),
     Case("start in motion", lambda m, s, d: m, 0.0, legs="moving", is_clean=True),
+    _stamp_step(-200), _old_corrections(0.002), _fewer_satellites(0.03),
+    _together(_multipath(0.3, 30), _stamps(-50)), _together(_multipath(0.3, 30), _stamps(50)),
+    _together(_multipath(0.5, 20), worse(FLOAT, 20.0, 0.0, True)), _together(_ramp(0.1, False), _slip(0.25)),
+    _together(_ramp(0.3, True), _slip(0.1)), _together(_wrong_fix(1.0), _slip(0.25)),
+    _together(_multipath(0.2, 20), _lever_arm(0.05), _vibration(2.0)), _together(_wrong_fix(0.5), worse(NONE, 10.0)),
+    _together(_multipath(0.3, 60), worse(NONE, 20.0)), _together(_multipath(0.3, 30), _heading(5.0, 40.0)),
+    _together(_wrong_fix(0.2), _heading(180.0, 40.0)), _together(_ramp(0.05, False), _stamps(50), _lever_arm(0.05)),
+    _together(_multipath(0.5, 60), Case("one antenna", _fix(_without_heading), 0.0)),
+    _together(_slip(0.25), _stamps(50)), _together(worse(NONE, 60.0), _slip(0.25)),
+    _together(worse(NONE, 60.0), _stamps(-50), _lever_arm(0.05)),
+    _together(_wrong_fix(0.5), IMU_GAP), _together(_multipath(0.3, 60), IMU_GAP), _together(_ramp(0.3, True), IMU_GAP),
 )  # fmt: skip
 
 
 def edited(truth: Truth, case: Case, draw: Draw) -> list[Entry]:
-    """The messages of a drive with the fault of a case."""
-    start_s, end_s = case.window_s(draw)
-    out: list[Entry] = []
-    for arrival_ns, topic, message in truth.messages:
-        t_s = (message.stamp_ns - START_NS) * 1e-9
-        changed = case.edit(message, t_s - start_s, draw) if start_s <= t_s < end_s else message
-        if changed is not None:
-            out.append((arrival_ns, topic, changed))
+    """The messages of a drive with the faults of a case."""
+    out: list[Entry] = list(truth.messages)
+    for part in (*case.beside, case):
+        start_s, end_s = part.window_s(draw)
+        before, out = out, []
+        for arrival_ns, topic, message in before:
+            t_s = (message.stamp_ns - START_NS) * 1e-9
+            changed = part.edit(message, t_s - start_s, draw) if start_s <= t_s < end_s else message
+            if changed is not None:
+                out.append((arrival_ns, topic, changed))
     return out
 
 

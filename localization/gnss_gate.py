@@ -27,8 +27,6 @@ class SolutionConfig(Config):
     slow_share: float = Field(ge=0.0, lt=1.0, description="share of sigma that varies too slowly to average out")
     correlation_s: float = Field(ge=0.0, le=600.0, description="0: the rest is white from fix to fix")
     fast_share: float = Field(gt=0.0, lt=1.0, description="share of sigma that reflections change, beside the rest")
-    fast_s: float = Field(gt=0.0, le=600.0, description="correlation time of that share")
-    white_share: float = Field(gt=0.0, lt=1.0, description="share that is white, beside an estimated error")
     is_used: bool
     is_estimated: bool = Field(description="its correlated error is a variable of the graph, else its sigma is widened")
 
@@ -42,6 +40,8 @@ class GnssConfig(Config):
     ppp: SolutionConfig
     sbas: SolutionConfig
     single: SolutionConfig
+    fast_s: float = Field(gt=0.0, le=600.0, description="correlation time of the fast share of sigma")
+    white_share: float = Field(gt=0.0, lt=1.0, description="share of sigma that is white, beside an estimated error")
     gate_sigma: float = Field(gt=1.0, le=10.0)
     gate_floor_m: float = Field(gt=0.0, le=1.0, description="innovations below are never rejected by sigma alone")
     heading_gate_sigma: float = Field(gt=1.0, le=10.0)
@@ -169,10 +169,11 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
     change = np.where(np.isnan(fix.sigma_enu_m), floor, sigma)
+    fast_m, white_m = row.fast_share * change, config.white_share * change
     return Position(
         fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
-        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, row.fast_share * change, row.white_share * change,
-        row.correlation_s, row.fast_s, row.is_estimated,
+        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, fast_m, white_m, row.correlation_s,
+        config.fast_s, row.is_estimated,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ Hypotheses of one fault at a time, each with the sigmas that its prior leaves of
 
     wrong fix or multipath:  the position is wrong, the Doppler velocity right    1e-2 / h
     spoofing:                position and velocity are wrong and agree             1e-4 / h
+    wrong ambiguities:       at the return of fixed ones                           1e-3 each
     stamps:                  all fixes are late or early                           present for good
 
 A fault that began within a window shows as separation of that window; what does not show is bounded by
@@ -46,6 +47,7 @@ class GnssMonitorConfig(Config):
     agree_floor_m: float = Field(gt=0.0, le=1.0)
     agree_s: float = Field(gt=0.0, le=60.0, description="duration of the agreement that ends a suspicion")
     reference_m: float = Field(gt=0.0, le=10.0, description="sigma above which a reference proves nothing")
+    return_s: float = Field(gt=0.0, le=60.0, description="longer times without fixed ambiguities end with a return")
     return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
     seen_sigmas: float = Field(gt=0.0, le=10.0, description="separations above may be the begin of an error")
     hold_s: float = Field(ge=0.0, le=600.0, description="longest multipath: for which those bounds are held")
@@ -73,20 +75,29 @@ class GnssMonitor:
         self.anchor_ns: int | None = None  # before what is suspected
         self._agreed_ns: int | None = None
         self._refused = 0
+        self._fixed_ns: int | None = None  # newest fix with fixed ambiguities
         self._held: deque[tuple[int, float]] = deque()  # time and bound
-        self._level_m = 0.0
+        self._level_m = self._carried_m = 0.0
+        self._carried_ns: int | None = None  # first fix after an interruption
         self.suspicion = ""
         self.detail = ""
         self.is_slipping = False
 
     def clear(self) -> None:
-        """Drops all measurements, after a gap, clock jump or start."""
+        """Drops everything, at a start."""
         self.odometry.clear()
         self._velocity.clear()
-        self.anchor_ns = self._agreed_ns = None
+        self.anchor_ns = self._agreed_ns = self._fixed_ns = self._carried_ns = None
         self._held.clear()
-        self._refused, self._level_m = 0, 0.0
+        self._refused, self._level_m, self._carried_m = 0, 0.0, 0.0
         self.suspicion, self.is_slipping = "", False
+
+    def interrupt(self) -> None:
+        """Drops all paths, after a gap or clock jump: a suspicion lasts, and what was not seen before is carried."""
+        carried_m = self._carried_m + max([self._level_m, *(bound_m for _, bound_m in self._held)])
+        suspicion = self.suspicion
+        self.clear()
+        self._carried_m, self.suspicion = carried_m, suspicion
 
     def add(self, fix: Position, swing: Swing) -> None:
         """Takes every fix that passed the checks of form, whether or not it is used."""
@@ -95,7 +106,8 @@ class GnssMonitor:
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
         since_ns = stamp_ns - self._config.hold_s * 1e9
-        return max([self._level_m, *(bound_m for held_ns, bound_m in self._held if held_ns > since_ns)])
+        held_m = [bound_m for held_ns, bound_m in self._held if held_ns > since_ns]
+        return self._carried_m + max([self._level_m, *held_m])
 
     def _hold(self, stamp_ns: int, bound_m: float) -> None:
         """Holds a bound: an error that a window has shown lasts when the window has passed its begin."""
@@ -103,14 +115,31 @@ class GnssMonitor:
             self._held.popleft()
         self._held.append((stamp_ns, bound_m))
 
-    def evaluate(self, stamp_ns: int, is_outlier: bool) -> Finding | None:
+    def add_fixed(self, stamp_ns: int, bound_m: float) -> None:
+        """Takes a fix with fixed ambiguities, and the bound of its error by the position before it.
+
+        After a time without them they are wrong once in a thousand: the bound is held, or that by odometry.
+        """
+        since_ns, self._fixed_ns = self._fixed_ns, stamp_ns
+        if since_ns is None or stamp_ns - since_ns <= self._config.return_s * 1e9:
+            return
+        found = [self.odometry.since(since_ns), self.odometry.by_lidar_since(since_ns)]
+        by_odometry = [s.bound_m(self._config.return_sigmas) for s in found if s is not None]
+        self._hold(stamp_ns, min([bound_m, *by_odometry]))
+
+    def evaluate(self, stamp_ns: int, is_outlier: bool, apart: Separation) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.
 
-        `is_outlier`: the fix contradicts the prediction of the graph.
+        `is_outlier`: the fix contradicts the prediction of the graph. `apart`: separation of the fix from the graph,
+        the reference of a suspicion after an interruption.
         """
+        if self._carried_ns is None:
+            self._carried_ns = stamp_ns
+        elif stamp_ns - self._carried_ns > self._config.hold_s * 1e9:
+            self._carried_m = 0.0
         self._refused = self._refused + 1 if is_outlier else 0
         if self.suspicion:
-            self._follow(stamp_ns)
+            self._follow(stamp_ns, apart)
             return None
         velocity = self._by_window(self._velocity.since, stamp_ns)
         odometry = self._by_window(self.odometry.since, stamp_ns)
@@ -154,19 +183,23 @@ class GnssMonitor:
     def _suspect(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> Finding | None:
         limit = self._config.detect_sigmas
         ratios = {w: s.ratio for w, s in velocity.items()}
-        if max(ratios.values(), default=0.0) > limit:
+        by_velocity = max(ratios.values(), default=0.0)
+        if by_velocity > limit:
             return self._begin(VELOCITY, stamp_ns, ratios)
+        # a spoofer's velocity agrees with its positions
+        code = VELOCITY if by_velocity > self._config.seen_sigmas else ODOMETRY
         self.is_slipping = max((s.ratio for s in odometry.values()), default=0.0) > limit
-        parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
-        ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
-        if self.is_slipping and max(ratios.values()) > limit:
-            return self._begin(ODOMETRY, stamp_ns, ratios)
+        if self.is_slipping:
+            parts_m = [s.wheel_m for s in odometry.values()]  # shortest first; slip may begin or end within a window
+            ratios = {w: s.ratio_beside_slip(parts_m[: k + 1]) for k, (w, s) in enumerate(odometry.items())}
+            if max(ratios.values()) > limit:
+                return self._begin(code, stamp_ns, ratios)
         ratios = {
             w: s.ratio for w, s in lidar.items()
             if _apart(s, odometry[w]).ratio <= max(1.0, odometry[w].ratio)
         }  # fmt: skip  # wheels are nearer to the lidar
         if max(ratios.values(), default=0.0) > limit:
-            return self._begin(ODOMETRY, stamp_ns, ratios)
+            return self._begin(code, stamp_ns, ratios)
         if self._refused >= self._config.refused_fixes and not self.is_slipping:
             self._begin(REFUSED, stamp_ns, dict.fromkeys(odometry, 0.0))
         return None  # the graph has not followed refused fixes: nothing to exclude
@@ -190,15 +223,16 @@ class GnssMonitor:
 
     def _reference(self) -> Separation | None:
         """Separation since the anchor from the best reference that the suspicion leaves."""
-        assert self.anchor_ns is not None, "called while a suspicion lasts"
+        if self.anchor_ns is None:
+            return None
         found = [self.odometry.since(self.anchor_ns), self.odometry.by_lidar_since(self.anchor_ns)]
         if self.suspicion != ODOMETRY:
             found.append(self._velocity.since(self.anchor_ns))
         return min((s for s in found if s is not None), key=lambda s: s.sigma_m, default=None)
 
-    def _follow(self, stamp_ns: int) -> None:
+    def _follow(self, stamp_ns: int, apart: Separation) -> None:
         """Ends the suspicion when the receiver has agreed with the reference for the configured time."""
-        cfg, reference = self._config, self._reference()
+        cfg, reference = self._config, apart if self.anchor_ns is None else self._reference()
         if self.suspicion == VELOCITY:
             self._level_m = 0.0  # the receiver contradicts itself: the reference is right
         elif reference is not None:

@@ -203,6 +203,9 @@ class Localizer(Node):
 
     def _advance(self) -> None:
         odometry, alignment = self._odometry, self._map_alignment
+        unmeasured_s = odometry.plausibility.imu.take_unmeasured_s()
+        if unmeasured_s > 0.0:
+            alignment.motion_start.clear()
         if odometry.dead_reckoning is None:
             tilt = odometry.tilt()
             if tilt is not None:
@@ -214,6 +217,8 @@ class Localizer(Node):
             alignment.resume(self._gap_s, odometry.speed_mps)
         self._gap_s = None
         odometry.advance()
+        if unmeasured_s > 0.0:
+            alignment.widen(unmeasured_s, odometry.speed_mps)
         if alignment.is_initialized:
             alignment.advance()
         else:

@@ -14,7 +14,7 @@ from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.gnss_gate import Position, RejectionReason, propagate
 from localization.gnss_monitor import VELOCITY, GnssMonitor
-from localization.graph.keyframes import KeyframeBuilder
+from localization.graph.keyframes import KeyframeBuilder, Velocity
 from localization.graph.motion_start import MotionStart
 from localization.graph.smoother import SmootherFailure, State
 from localization.integrity import (
@@ -28,7 +28,7 @@ from localization.integrity import (
 from localization.lidar.odometry_spans import OdometrySpans, motion_between
 from localization.lidar.pose_measurement import PoseMeasurements
 from localization.odometry import OdometryEstimator
-from localization.separation import Swing
+from localization.separation import Separation, Swing
 from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssSolution
 
@@ -58,6 +58,7 @@ class MapAlignment:
         self._rejected_since_ns: int | None = None
         self._failed_ns: int | None = None
         self._taken_ns: int | None = None  # newest fix since the start
+        self._accuracy_m = math.inf  # of the newest pose
         self._apart_m = 0.0  # of base from the position by the newest fix
         self.is_initialized = False
         self.failures: list[str] = []
@@ -111,7 +112,7 @@ class MapAlignment:
         self._taken_ns = None
         self.odometry_spans.clear()
         self.pose_measurements.clear()
-        self.monitor.clear()
+        self.monitor.interrupt()
         self.motion_start.clear()
         if self.keyframes.range_gate is not None:
             self.keyframes.range_gate.clear()
@@ -211,11 +212,14 @@ class MapAlignment:
 
     def resume(self, gap_s: float, speed_mps: float) -> bool:
         """Continues after a gap at the newest IMU sample with a larger covariance; False when the gap is too long."""
-        state = self.state
-        if state is None:
-            return False
         if abs(speed_mps) > 0.05 and gap_s > self._config.max_bridge_s:
             self.is_initialized = False
+        return self.widen(gap_s, speed_mps)
+
+    def widen(self, gap_s: float, speed_mps: float) -> bool:
+        """Continues at the newest IMU sample with what may have changed in a time without measurements of it."""
+        state = self.state
+        if state is None:
             return False
         added_sigmas = np.repeat(
             [
@@ -228,7 +232,7 @@ class MapAlignment:
         T = self._T_map_odom @ self._odom_now() @ self.keyframes.lever_arms.T_base_body
         velocity = T[:3, 0] * speed_mps
         sigmas = state.sigmas.copy()
-        sigmas[6:9] = np.maximum(sigmas[6:9], 0.2)
+        sigmas[6:9] = np.maximum(sigmas[6:9], max(0.2, self._config.resume_speed_ratio * abs(speed_mps)))
         resumed = replace(
             state, stamp_ns=self._odometry.stamp_ns, T_map_body=T, velocity_mps=velocity,
             covariance=state.covariance + np.diag(added_sigmas**2), sigmas=sigmas,
@@ -276,7 +280,7 @@ class MapAlignment:
             used = [] if self.monitor.suspicion else propagated
             reasons = self.keyframes.add(
                 stamp_ns, odometry.track, odometry.wheels, used, batch,
-                () if self._is_fixed(stamp_ns) else found, self._needs_ranges(stamp_ns),
+                () if self._is_fixed(stamp_ns) else found, self._needs_ranges(stamp_ns), self._velocity(fixes),
             )  # fmt: skip
         except SmootherFailure as failure:
             self._recover(stamp_ns, before, str(failure))
@@ -288,7 +292,7 @@ class MapAlignment:
         for fix, reason in zip(fixes, reasons, strict=True):
             self._count(fix, reason)
         for fix in fixes:
-            swing = self._swing(fix.stamp_ns)
+            swing = self._swing(fix.stamp_ns, self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m)
             if swing is not None:
                 self.monitor.add(fix, swing)
         if before is not None:
@@ -311,8 +315,13 @@ class MapAlignment:
         R = state.T_map_body[:3, :3]
         base_m = fixes[-1].p_map_m - R @ (arm_m + T_base_body[:3, 3])
         self.monitor.odometry.add(fixes[-1], base_m, state, self._T_map_odom, T_odom_base, self.keyframes.late_rad)
-        self._apart_m = float(np.linalg.norm((base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]))
-        finding = self.monitor.evaluate(state.stamp_ns, is_outlier)
+        apart_m = (base_m - (state.T_map_body @ invert(T_base_body))[:3, 3])[:2]
+        self._apart_m = float(np.linalg.norm(apart_m))
+        if fixes[-1].solution is GnssSolution.RTK_FIXED:
+            self.monitor.add_fixed(state.stamp_ns, self._accuracy_m + self.keyframes.gnss_gate.innovation_m)
+        covariance = (R @ state.covariance[3:, 3:] @ R.T)[:2, :2] + np.diag(fixes[-1].total_m[:2] ** 2)
+        apart = Separation(0.0, apart_m, covariance, np.zeros(2))
+        finding = self.monitor.evaluate(state.stamp_ns, is_outlier, apart)
         if finding is not None and self._undisputed_ns < self._accepted_ns:
             reference_m = base_m[:2] - finding.separation.d_m
             self._restart(excluded(state, T_base_body, reference_m, finding))
@@ -350,12 +359,21 @@ class MapAlignment:
         by_path_m = slip_sigma * path_m
         return replace(moved, sigma_m=np.hypot(fix.sigma_m, by_path_m), total_m=np.hypot(fix.total_m, by_path_m))
 
-    def _swing(self, stamp_ns: int) -> Swing | None:
-        """Motion of the antenna about base at a fix, by the samples beside it."""
+    def _velocity(self, fixes: list[Position]) -> Velocity | None:
+        """Velocity of the IMU by the newest fix while positions contradict it: then it is right."""
+        if self.monitor.suspicion != VELOCITY or not fixes or not np.isfinite(fixes[-1].velocity_mps).all():
+            return None
+        swing = self._swing(fixes[-1].stamp_ns, self.keyframes.lever_arms.antenna_m)
+        if swing is None:
+            return None
+        sigma_mps = math.hypot(self._config.gnss_monitor.separation.sigma_mps(fixes[-1]), swing.sigma_mps)
+        return Velocity(fixes[-1].stamp_ns, fixes[-1].velocity_mps[:2] - swing.velocity_mps, sigma_mps)
+
+    def _swing(self, stamp_ns: int, arm_m: Float64) -> Swing | None:
+        """Motion of the antenna about the other end of an arm (3,) in base at a fix, by the samples beside it."""
         odometry, odom = self._odometry, self._odometry.history.at(stamp_ns)
         if odom is None or odometry.dead_reckoning is None:
             return None
-        arm_m = self.keyframes.lever_arms.antenna_m - self.keyframes.lever_arms.base_m
         rates = odometry.track.between(stamp_ns - SWING_NS, stamp_ns + SWING_NS).rate_radps
         turn = np.cross(rates.mean(axis=0) - odometry.dead_reckoning.calibration.gyro_bias_radps, arm_m)
         R = (planar(0.0, 0.0, yaw_of(self._T_map_odom)) @ odom)[:2, :3]  # the tilt of `odom` never steps
@@ -473,6 +491,7 @@ class MapAlignment:
         source = position_source(used, age_s, self._is_uwb_active(stamp_ns), self._config.integrity.outage_s)
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
+        self._accuracy_m = accuracy_m
         if source in BY_GNSS:
             level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps)
         elif source is PositionSource.DEAD_RECKONING:  # from a place that the stamps had shifted

@@ -68,7 +68,7 @@ class OdometryEstimator:
         """Takes a sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
-        self.plausibility.imu.add(self.track.last[:6])
+        self.plausibility.imu.add(sample.stamp_ns, self.track.last[:6])
         self._add_inertial()
         # without wheels nothing tells rest from steady motion
         is_rolling = self.inertial is not None or abs(self._speed) > self._config.wheels.standstill_mps

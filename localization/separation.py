@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -49,6 +50,10 @@ class SeparationConfig(Config):
     course_deg: float = Field(gt=0.0, le=5.0, description="error of the mounts of lidar and antennas in yaw")
     course_walk_deg: float = Field(ge=0.0, le=1.0, description="change of that error, per square root of a second")
 
+    def sigma_mps(self, fix: Position) -> float:
+        """Sigma of the Doppler velocity of a fix; one that states none (NaN) has the lower bound."""
+        return max(self.velocity_sigma_mps, fix.velocity_sigma_mps)
+
 
 @dataclass(frozen=True)
 class Separation:
@@ -62,24 +67,25 @@ class Separation:
     covariance: Float64
     wheel_m: Float64
 
-    @property
+    @cached_property
     def ratio(self) -> float:
         """Mahalanobis distance."""
-        return math.sqrt(float(self.d_m @ np.linalg.solve(self.covariance, self.d_m)))
+        return _distance(self.d_m, self.covariance)
 
     def ratio_beside_slip(self, wheels_m: Iterable[Float64]) -> float:
         """Mahalanobis distance when the wheels slip by any share in any of the parts with displacements `wheels_m`."""
         widened = self.covariance + SLIP_SIGMA**2 * sum(np.outer(w, w) for w in wheels_m)
-        return math.sqrt(float(self.d_m @ np.linalg.solve(widened, self.d_m)))
+        return _distance(self.d_m, widened)
 
-    @property
+    @cached_property
     def sigma_m(self) -> float:
         """Standard deviation along the major axis."""
-        return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[1]))
+        (a, b), (_, c) = self.covariance.tolist()
+        return math.sqrt(0.5 * (a + c) + math.hypot(0.5 * (a - c), b))
 
     def bound_m(self, sigmas: float) -> float:
         """Bound of an error of the positions that began in the window."""
-        return float(np.linalg.norm(self.d_m)) + sigmas * self.sigma_m
+        return math.hypot(*self.d_m.tolist()) + sigmas * self.sigma_m
 
 
 class _Row(Protocol):
@@ -168,7 +174,7 @@ class VelocitySeparation:
             dt_s = (fix.stamp_ns - last.stamp_ns) * 1e-9
             if 0.0 < dt_s <= self._config.gnss_gap_s:
                 path_m = last.path_m + 0.5 * dt_s * (last.velocity_mps + velocity)
-                sigma = max(self._config.velocity_sigma_mps, fix.velocity_sigma_mps)  # NaN: unknown
+                sigma = self._config.sigma_mps(fix)
                 variance_m2 = last.variance_m2 + (sigma**2 + swing.sigma_mps**2) * dt_s**2
             else:
                 self.clear()
@@ -431,6 +437,13 @@ class OdometrySeparation:
         white += (2.0 * math.sin(0.5 * turned) * cfg.lever_arm_m) ** 2
         white += (cfg.gyro_scale * (last.turned_rad - first.turned_rad) * 0.5 * (last.path_m - first.path_m)) ** 2
         return np.asarray(yaw * np.outer(across, across) + white * np.eye(2))
+
+
+def _distance(d_m: Float64, covariance: Float64) -> float:
+    """Mahalanobis distance of d (2,)."""
+    (a, b), (_, c) = covariance.tolist()
+    x, y = d_m.tolist()
+    return math.sqrt((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
 
 
 def _across(moved_m: Float64) -> Float64:

@@ -20,6 +20,7 @@ from geometry.arrays import Float64
 from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2
 
 MEAN_SIGMAS = 4.0  # of the noise of samples in their mean
+STRAIGHT = 1e-6  # m/s² and rad/s; largest second difference of values on a straight line, by rounding
 CODES = ("imu.frozen", "imu.noisy", "imu.implausible", "wheel.implausible", "imu_or_wheel.implausible")
 
 
@@ -36,7 +37,7 @@ class CrossCheckConfig(Config):
 class PlausibilityConfig(Config):
     """Limits that working sensors never exceed."""
 
-    frozen_samples: int = Field(ge=2, le=100, description="equal samples in a row; noise never repeats")
+    frozen_samples: int = Field(ge=2, le=100, description="equal or interpolated samples in a row; noise is neither")
     samples: int = Field(ge=5, le=200, description="for noise")
     gravity_samples: int = Field(ge=5, le=500, description="for gravity; a bump changes its mean by speed over time")
     max_noise_mps2: float = Field(gt=0.0, le=50.0, description="sigma between samples, per axis")
@@ -63,25 +64,38 @@ class ImuCheck:
     def __init__(self, config: PlausibilityConfig) -> None:
         self._config = config
         self._values: deque[Float64] = deque(maxlen=max(config.samples, config.gravity_samples))
-        self._equal_count = 1
+        self._straight_count, self._straight_ns = 1, 0  # newest samples on a straight line, and the begin of that
+        self._unmeasured_s = 0.0
         self.noise = (0.0, 0.0)
 
     def clear(self) -> None:
         """Drops all samples."""
         self._values.clear()
-        self._equal_count = 1
+        self._straight_count, self._unmeasured_s = 1, 0.0
 
-    def add(self, value: Float64) -> None:
+    def add(self, stamp_ns: int, value: Float64) -> None:
         """Takes specific force, then rate, (6,)."""
-        is_same = bool(self._values) and bool((value == self._values[-1]).all())
-        self._equal_count = self._equal_count + 1 if is_same else 1
+        is_straight = len(self._values) > 1 and bool(
+            (np.abs(value - 2.0 * self._values[-1] + self._values[-2]) <= STRAIGHT).all()
+        )
         self._values.append(value)
+        if is_straight:
+            self._straight_count = max(2, self._straight_count) + 1
+            return
+        if self._straight_count >= self._config.frozen_samples:
+            self._unmeasured_s += (stamp_ns - self._straight_ns) * 1e-9
+        self._straight_count, self._straight_ns = 1, stamp_ns
+
+    def take_unmeasured_s(self) -> float:
+        """Duration of equal or interpolated samples that have ended since the last call."""
+        duration_s, self._unmeasured_s = self._unmeasured_s, 0.0
+        return duration_s
 
     def suspicion(self) -> Suspicion | None:
         """The present suspicion against the IMU."""
         cfg = self._config
-        if self._equal_count >= cfg.frozen_samples:
-            return Suspicion("imu.frozen", f"{self._equal_count} equal samples")
+        if self._straight_count >= cfg.frozen_samples:
+            return Suspicion("imu.frozen", f"{self._straight_count} equal or interpolated samples")
         if len(self._values) < cfg.samples:
             return None
         values = np.array(self._values)

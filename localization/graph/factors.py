@@ -34,8 +34,11 @@ __all__ = [
     "pose_factor",
     "relative_pose_factor",
     "standstill_factor",
+    "velocity_factor",
     "wheel_factor",
 ]
+
+FREE_MPS = 100.0  # sigma of a velocity that is not known
 
 Error = Callable[[gtsam.CustomFactor, gtsam.Values, "list[Float64] | None"], Float64]
 
@@ -73,6 +76,12 @@ def decay_factor(start: int, end: int, keep: Float64, sigma_m: Float64) -> gtsam
         return values.atVector(end) - keep * values.atVector(start)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma_m), [start, end], error)
+
+
+def velocity_factor(key: int, velocity_mps: Float64, sigma_mps: float) -> gtsam.PriorFactorVector:
+    """Factor of the horizontal velocity (2,) in `map`."""
+    sigmas = gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma_mps, sigma_mps, FREE_MPS]))
+    return gtsam.PriorFactorVector(V(key), np.array([*velocity_mps, 0.0]), sigmas)
 
 
 def no_sideslip_factor(key: int, rate_radps: Float64, arm_m: Float64, sigma_mps: float) -> gtsam.CustomFactor:

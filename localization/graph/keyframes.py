@@ -34,6 +34,7 @@ from localization.graph.factors import (
     relative_pose_factor,
     skew,
     standstill_factor,
+    velocity_factor,
     wheel_factor,
 )
 from localization.graph.fix_errors import FixErrors, position_factor
@@ -73,6 +74,15 @@ class LeverArms:
         T = np.eye(4)
         T[:3, 3] = imu.mount.xyz_m
         return cls(np.array(antenna_xyz_m) - T[:3, 3], -T[:3, 3], T)
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """Horizontal velocity (2,) of the IMU in `map`, with its sigma."""
+
+    stamp_ns: int
+    mps: Float64
+    sigma_mps: float
 
 
 class KeyframeBuilder:
@@ -178,10 +188,12 @@ class KeyframeBuilder:
     def add(
         self, stamp_ns: int, track: ImuTrack, wheels: WheelTrack, positions: list[Position],
         batch: RangeBatch | None = None, pose_measurements: Sequence[PoseMeasurement] = (), needs_ranges: bool = True,
+        velocity: Velocity | None = None,
     ) -> list[RejectionReason]:  # fmt: skip
         """Adds a keyframe with the measurements since the last one; returns a rejection reason for each fix.
 
-        All measurements have been propagated to `stamp_ns`. Without `needs_ranges`, ranges are gated but not added.
+        All measurements have been propagated to `stamp_ns`, but a velocity, which is used if it is from then. Without
+        `needs_ranges`, ranges are gated but not added.
         Raises SmootherFailure; `restart` comes next.
         """
         last = self.smoother.state
@@ -209,6 +221,9 @@ class KeyframeBuilder:
         for position in used:
             factors += self._fix_factors(key, guess, position, self.gnss_gate.has_height(position, *antenna))
         factors += self._pose_factors(key, guess, pose_measurements)
+        if velocity is not None and velocity.stamp_ns == stamp_ns:
+            by_stamp_mps = self._gnss.stamp_s * float(np.linalg.norm(guess.velocity_mps - last.velocity_mps)) / dt_s
+            factors.append(velocity_factor(key, velocity.mps, math.hypot(velocity.sigma_mps, by_stamp_mps)))
         range_factors = self._range_factors(key, guess, batch, needs_ranges) if batch is not None else []
         imu_factor = gtsam.CombinedImuFactor(X(key - 1), V(key - 1), X(key), V(key), B(key - 1), B(key), preintegrated)
         if self._fix_errors.guess is not None:
@@ -312,7 +327,7 @@ class KeyframeBuilder:
         self, key: int, last: State, guess: State, steps: Steps, wheels: WheelTrack, accelerometer_density: float
     ) -> list[gtsam.NonlinearFactor]:
         cfg, self.columns, stamp_ns = self._wheels, None, guess.stamp_ns
-        self.is_slipping = False
+        was_slipping, self.is_slipping = self.is_slipping, False
         if not self._has_wheels:
             rate_radps = (steps.rate_radps * steps.dt_s[:, None]).sum(axis=0) / float(steps.dt_s.sum())
             return [no_sideslip_factor(key, rate_radps, self.lever_arms.base_m, cfg.sideslip_mps)]
@@ -329,9 +344,11 @@ class KeyframeBuilder:
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
         max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
-        self.is_slipping = self.gnss_gate.is_recent(stamp_ns) and slip_mps > max_slip_mps
+        if not was_slipping:
+            max_slip_mps += 3.0 * float(np.max(last.sigmas[6:8]))
+        self.is_slipping = slip_mps > max_slip_mps
         if self.is_slipping:
-            sigma[0] = slip_mps * dt_s
+            sigma[0] = slip_mps
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 
     def _standstill_sigmas(self, steps: Steps, gyro_bias_radps: Float64) -> tuple[Float64, Float64]:

@@ -10,23 +10,30 @@ from benchmarks.localization_faults import CASES, Case, Draw, edited, lidar_moti
 from benchmarks.localization_robustness import judged, measured
 from geometry.angles import wrap
 from geometry.transforms import yaw_of
+from localization.gnss_monitor import ODOMETRY, VELOCITY, GnssMonitor
 from localization.separation import Separation
 from messages.motion import PositionSource
-from tests.localization.harness import run
+from tests.localization.harness import configuration, run
 from tests.localization.synthetic_drive import START_NS, SensorErrors, drive
 
 BY_NAME = {case.name: case for case in CASES}
 
 
-def driven(name: str, from_s: float, for_s: float, seconds: float = 36.0):
+def driven(name: str | Case, from_s: float, for_s: float, seconds: float = 36.0):
     """One drive on a straight with the fault of a case at another time; its row and faults by code."""
-    case: Case = dataclasses.replace(BY_NAME[name], from_s=from_s, for_s=for_s)
+    case: Case = dataclasses.replace(BY_NAME[name] if isinstance(name, str) else name, from_s=from_s, for_s=for_s)
     draw = Draw(2)
     draw.delay_s = 0.0
     truth = drive(seconds, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
     result = run(edited(truth, case, draw))
     row = judged(case, "open", 2, result, truth, draw, 0.0)
     return row, [(f.code, f.is_active) for f in result.faults]
+
+
+def at_once(name: str) -> Case:
+    """A case whose second fault begins at 14 s."""
+    case = BY_NAME[name]
+    return dataclasses.replace(case, beside=tuple(dataclasses.replace(c, from_s=14.0) for c in case.beside))
 
 
 @pytest.mark.parametrize(
@@ -67,6 +74,57 @@ def test_slip_of_the_wheels_is_not_taken_for_a_fault_of_gnss():
     assert ("wheel.slipping", True) in faults
     assert not any(code.startswith("gnss.contradicts") for code, _ in faults)
     assert row.max_error_m < 0.2  # 0.2 s of dead reckoning with the slip
+
+
+def test_wheels_that_slip_while_positions_are_wrong_do_not_move_the_position():
+    row, faults = driven(at_once("wrong fix 1 m 20 s + slip 25 % 10 s"), 14.0, 12.0, 27.0)
+    assert ("gnss.contradicts_velocity", True) in faults
+    assert row.max_error_m < 0.3  # the wheels say 8 m
+    assert row.misleading_s == [0.0] * 4
+
+
+def test_slip_without_fixes_is_seen_by_the_imu():
+    row, _ = driven(at_once("outage 60 s + slip 25 % 10 s"), 14.0, 12.0, 27.0)
+    assert row.max_error_m < 1.5  # the wheels say 8 m
+
+
+def test_wrong_ambiguities_after_an_outage_are_covered():
+    row, _ = driven(at_once("multipath 0.3 m 60 s + outage 20 s"), 14.0, 60.0, 40.0)
+    assert row.max_error_m > 0.2
+    assert row.misleading_s == [0.0] * 4
+    row, _ = driven("outage 5 s", 14.0, 5.0, 26.0)
+    assert row.after[2] == 1.0  # fixes that the position before them confirms
+
+
+@pytest.mark.parametrize("name", ["wrong fix 0.5 m 20 s + IMU gap 0.2 s", "spoofed ramp 0.3 m/s 30 s + IMU gap 0.2 s"])
+def test_a_suspicion_and_bounds_outlast_a_gap(name):
+    case = BY_NAME[name]
+    gap = dataclasses.replace(case.beside[0], from_s=20.0)
+    row, _ = driven(dataclasses.replace(case, beside=(gap,)), 14.0, 20.0)
+    assert row.misleading_s == [0.0] * 4
+
+
+class Separations:
+    """Odometry separation that shows an error in every window."""
+
+    def __init__(self, d_m):
+        self._d_m = np.array([d_m, 0.0])
+
+    def since(self, stamp_ns):
+        return Separation(1.0, self._d_m, 1e-4 * np.eye(2), np.zeros(2))
+
+    def by_lidar_since(self, stamp_ns):
+        return None
+
+    def slip_at(self, stamp_ns):
+        return np.zeros(4), np.zeros(4)
+
+
+@pytest.mark.parametrize(("by_velocity_m", "code"), [(0.01, ODOMETRY), (0.04, VELOCITY)])
+def test_an_error_that_the_velocity_shows_too_is_no_spoofing(by_velocity_m, code, monkeypatch):
+    monitor = GnssMonitor(configuration().map_alignment.gnss_monitor, Separations(0.1))
+    monkeypatch.setattr(monitor, "_velocity", Separations(by_velocity_m))
+    assert monitor.evaluate(START_NS, False, Separations(0.0).since(START_NS)).code == code
 
 
 def test_start_in_float():

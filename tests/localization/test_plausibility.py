@@ -36,8 +36,8 @@ def shaken(amplitude, axes=slice(0, 6), rest=REST):
     for k in range(2 * max(CONFIG.samples, CONFIG.gravity_samples)):
         value = rest.copy()
         value[axes] += amplitude * (-1) ** k
-        value += 1e-9 * k  # noise never repeats
-        check.add(value)
+        value += 1e-5 * (k % 3)  # noise never repeats
+        check.add(k, value)
     suspicion = check.suspicion()
     return suspicion and suspicion.code
 
@@ -45,11 +45,45 @@ def shaken(amplitude, axes=slice(0, 6), rest=REST):
 def test_frozen_imu_limit():
     check = ImuCheck(CONFIG)
     for count in range(1, 2 * CONFIG.frozen_samples):
-        check.add(REST)
+        check.add(count, REST)
         assert (check.suspicion() is not None) == (count >= CONFIG.frozen_samples)
     assert check.suspicion().code == "imu.frozen"
-    check.add(REST + 1e-9)
+    check.add(2 * CONFIG.frozen_samples, REST + 1e-5)
     assert check.suspicion() is None
+
+
+def test_interpolated_samples_are_no_measurements():
+    check, rng = ImuCheck(CONFIG), np.random.default_rng(1)
+    for k in range(120):
+        is_lost = 40 <= k < 80
+        check.add(k * STEP_NS, REST + (1e-3 * (k - 40) if is_lost else 1e-3 * rng.standard_normal(6)))
+        assert (check.suspicion() is not None) == (40 + CONFIG.frozen_samples - 1 <= k < 80)
+        assert check.take_unmeasured_s() == (pytest.approx(39 * STEP_NS * 1e-9) if k == 80 else 0.0)
+
+
+def test_interpolated_samples_hide_a_turn_from_the_heading():
+    truth = drive(16.0, legs=[(4.0, 0.0, 0.0), (100.0, 2.5, 0.0)], sensor_errors=SensorErrors(seed=2))
+    imu = [m for _, topic, m in truth.messages if topic == "imu"]
+    from_s, to_s = 10.0, 11.0
+    lost = [m for m in imu if from_s <= (m.stamp_ns - START_NS) * 1e-9 <= to_s]
+    stamps = [lost[0].stamp_ns, lost[-1].stamp_ns]
+
+    def interpolated(message, field):
+        ends = np.array([getattr(lost[0], field), getattr(lost[-1], field)])
+        return np.array([np.interp(message.stamp_ns, stamps, ends[:, k]) for k in range(3)])
+
+    messages = [
+        (a, t, replace(m, **{f: interpolated(m, f) for f in ("acceleration_mps2", "rate_radps")}))
+        if t == "imu" and stamps[0] <= m.stamp_ns <= stamps[1] else (a, t, m)
+        for a, t, m in truth.messages
+        if not (t.startswith("gnss") and from_s <= (m.stamp_ns - START_NS) * 1e-9)
+    ]  # fmt: skip
+    result = run(messages)
+    t_s = np.array([(p.stamp_ns - START_NS) * 1e-9 for p in result.poses])
+    sigma_deg = np.degrees([math.sqrt(p.covariance[2, 2]) for p in result.poses])
+    assert np.max(sigma_deg[(t_s > 9.0) & (t_s < 10.5)]) < 1.0
+    assert np.min(sigma_deg[t_s > 12.0]) > 5.0
+    assert "imu.frozen" in {f.code for f in result.faults}
 
 
 def test_noise_limits():
@@ -72,10 +106,10 @@ def test_gravity_error_limits(sign):
 def test_a_fall_into_a_rut_is_no_error_of_gravity(sign):
     check = ImuCheck(CONFIG)
     for k in range(3 * CONFIG.gravity_samples):
-        value = REST + 1e-9 * k
+        value = REST + 1e-5 * (k % 3)
         if 0 <= k - 1.5 * CONFIG.gravity_samples < 20:
             value[2] += sign * 7.5  # 0.2 s at 100 Hz: 1.5 m/s
-        check.add(value)
+        check.add(k, value)
         assert check.suspicion() is None
 
 
@@ -119,7 +153,7 @@ def test_reference_identifies_faulty_sensor():
 def test_suspicion_recovery():
     plausibility, heal_ns = Plausibility(CONFIG), round(CONFIG.recovery_s * 1e9)
     for _ in range(CONFIG.frozen_samples):
-        plausibility.imu.add(REST)
+        plausibility.imu.add(START_NS, REST)
     assert plausibility.evaluate(START_NS).code == "imu.frozen"
     plausibility.clear()
     assert plausibility.evaluate(START_NS + heal_ns).code == "imu.frozen"
@@ -131,9 +165,8 @@ def test_noise_of_the_imu_is_allowed_for_in_its_changes():
     for vibration in (0.0, 3.0):
         plausibility = Plausibility(CONFIG)
         for k in range(120):
-            plausibility.imu.add(
-                REST + vibration * (-1) ** k / math.sqrt(2.0) * np.array([1, 1, 1, 0, 0, 0]) + 1e-9 * k
-            )
+            shaking = vibration * (-1) ** k / math.sqrt(2.0) * np.array([1, 1, 1, 0, 0, 0])
+            plausibility.imu.add(START_NS + k * STEP_NS, REST + shaking + 1e-5 * (k % 3))
             plausibility.evaluate(START_NS + k * STEP_NS)
             plausibility.advance(START_NS + k * STEP_NS, 0.02, (0.0, 0.5), (0.0, 0.0))
         assert (plausibility.speed.suspect() is None) == (vibration > 0.0)
