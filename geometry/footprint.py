@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 import shapely
+from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64, Int64
@@ -10,6 +11,7 @@ from geometry.rectangle import Rectangle
 
 Bodies = tuple[Rectangle, ...]
 STRAIGHT_RAD = 0.01
+BAND_STEPS = 24  # of two edge lines that are one polygon, where its outline does not cross itself
 
 
 def place(points_base_m: Float64, p_map_m: Float64, heading_rad: Float64) -> Float64:
@@ -50,6 +52,18 @@ def corners_of(heading_rad: Float64) -> Int64:
 
 def worked(left_m: Float64, right_m: Float64) -> BaseGeometry:
     """Area between two edge lines (N, 2), exact also where one edge rests or reverses."""
-    quads = np.stack([left_m[:-1], left_m[1:], right_m[1:], right_m[:-1]], axis=1)
-    hulls = shapely.convex_hull(shapely.multipoints(quads))
-    return shapely.union_all(hulls)
+    steps = np.stack([left_m[:-1], left_m[1:], right_m[1:], right_m[:-1]], axis=1)
+    sides = np.roll(steps, -1, axis=1) - steps
+    following = np.roll(sides, -1, axis=1)
+    turns = sides[..., 0] * following[..., 1] - sides[..., 1] * following[..., 0]
+    shapes = list[BaseGeometry]()
+    for first in range(0, len(steps), BAND_STEPS):
+        part = slice(first, first + BAND_STEPS)
+        is_convex = (turns[part] >= 0.0).all() or (turns[part] <= 0.0).all()  # each step, all in the same sense
+        left, right = (line[first : first + BAND_STEPS + 1] for line in (left_m, right_m))
+        band = Polygon(np.concatenate([left, right[::-1]]))
+        if is_convex and band.is_valid:
+            shapes.append(band)
+        else:
+            shapes.append(shapely.union_all(shapely.convex_hull(shapely.multipoints(steps[part]))))
+    return shapely.union_all(shapes)

@@ -13,8 +13,7 @@ from geometry.arrays import Float64
 from geometry.jit import kernel
 
 MAX_SEGMENTS = 7
-CORRECTIONS = 8
-DIFFERENCE_M = 1e-3
+CORRECTIONS = 12
 TOLERANCE_M = 1e-4
 
 
@@ -95,23 +94,14 @@ def solve(
         arm_m = max(arm_m, abs(curvatures_radpm[k]))
     arm_m = 1.0 / max(arm_m, 1e-3)
     n = len(lengths_m)
-    slopes, error, shifted = np.zeros((3, n)), np.zeros(3), np.zeros(3)
+    slopes, error = np.zeros((3, n)), np.zeros(3)
     square = np.zeros((3, 3))
     for _ in range(CORRECTIONS):
         if not _residual(lengths_m, curvatures_radpm, start, goal, ramp_m, step_m, arm_m, poses, error):
             return False
         if max(abs(error[0]), abs(error[1]), abs(error[2])) < TOLERANCE_M:
             return True
-        for k in range(n):
-            if abs(lengths_m[k]) < 1e-9:
-                continue
-            kept = lengths_m[k]
-            lengths_m[k] = kept + math.copysign(DIFFERENCE_M, kept)
-            if not _residual(lengths_m, curvatures_radpm, start, goal, ramp_m, step_m, arm_m, poses, shifted):
-                return False
-            for i in range(3):
-                slopes[i, k] = (shifted[i] - error[i]) / math.copysign(DIFFERENCE_M, kept)
-            lengths_m[k] = kept
+        _slopes(lengths_m, curvatures_radpm, goal[0] + error[0], goal[1] + error[1], step_m, arm_m, poses, slopes)
         for i in range(3):
             for j in range(3):
                 square[i, j] = 1e-9 if i == j else 0.0
@@ -127,6 +117,32 @@ def solve(
                     return False
                 lengths_m[k] += change
     return False
+
+
+@kernel
+def _slopes(
+    lengths_m: Float64, curvatures_radpm: Float64, x_m: float, y_m: float, step_m: float, arm_m: float, poses: Float64,
+    slopes: Float64,
+) -> None:  # fmt: skip
+    """Change (3, N) of the end (x, y) with each length: what follows the middle of a segment is moved and turned."""
+    row, first = 0, 0
+    while first < len(lengths_m):
+        direction, last, total = (1.0 if lengths_m[first] > 0.0 else -1.0), first, 0.0
+        while last < len(lengths_m) and lengths_m[last] * direction > -1e-9:
+            total += abs(lengths_m[last])
+            last += 1
+        steps, at = max(1, math.ceil(total / step_m - 1e-9)), 0.0
+        for k in range(first, last):
+            length = abs(lengths_m[k])
+            slopes[0, k] = slopes[1, k] = slopes[2, k] = 0.0
+            if length >= 1e-9:
+                n, bend = row + round((at + 0.5 * length) / total * steps), curvatures_radpm[k]
+                slopes[0, k] = math.cos(poses[n, 2]) - bend * (y_m - poses[n, 1])
+                slopes[1, k] = math.sin(poses[n, 2]) + bend * (x_m - poses[n, 0])
+                slopes[2, k] = arm_m * bend
+            at += length
+        row += steps + 1 if total >= 1e-9 else 0
+        first = last
 
 
 @kernel

@@ -254,6 +254,11 @@ def search_kernel(
     rows_m, rows_radpm = np.zeros((MAX_CANDIDATES, MAX_SEGMENTS)), np.zeros((MAX_CANDIDATES, MAX_SEGMENTS))
     time, total = np.empty(MAX_CANDIDATES), 0
     row = np.empty(MAX_SEGMENTS)
+    slim = boxes_m.copy()
+    slim[:, 0] += COARSE_SLACK_M
+    slim[:, 1:] -= COARSE_SLACK_M
+    outs = _free_ends(start, 1.0, outs, ramp_m, slim, edges_m, west_m, south_m, columns, rows, first, items)
+    ups = _free_ends(goal, -1.0, ups, ramp_m, slim, edges_m, west_m, south_m, columns, rows, first, items)
     for factor in factors:
         radius = factor * radius_m
         for out in outs:
@@ -268,9 +273,6 @@ def search_kernel(
                             rows_radpm[total, n + 1] = sides[k, n] / radius
                         total += 1
     order = np.argsort(time[:total], kind="mergesort")
-    slim = boxes_m.copy()
-    slim[:, 0] += COARSE_SLACK_M
-    slim[:, 1:] -= COARSE_SLACK_M
     slim_trailed = trailed_m.copy()
     slim_trailed[:, 0] += COARSE_SLACK_M
     slim_trailed[:, 1:3] -= COARSE_SLACK_M
@@ -296,6 +298,25 @@ def search_kernel(
         ):  # fmt: skip
             return count, time[k]
     return 0, np.inf
+
+
+@kernel
+def _free_ends(
+    pose: Float64, sign: float, ends: Float64, ramp_m: float, boxes_m: Float64, edges_m: Float64, west_m: float,
+    south_m: float, columns: int, rows: int, first: Int32, items: Int32,
+) -> Float64:  # fmt: skip
+    """Those lengths of a straight end at a pose, ahead of it with `sign` 1, on which the rig is free."""
+    c, s, free_m = sign * math.cos(pose[2]), sign * math.sin(pose[2]), np.zeros(2)
+    most_m = max(0.0, ends.max()), max(0.0, -ends.min())
+    for k in range(2):
+        way = 1.0 - 2.0 * k
+        while free_m[k] < most_m[k]:
+            x, y = pose[0] + way * free_m[k] * c, pose[1] + way * free_m[k] * s
+            if is_touching(x, y, pose[2], boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+                break
+            free_m[k] += COARSE_M
+    found: Float64 = ends[(ends <= free_m[0] + 0.5 * ramp_m) & (-ends <= free_m[1] + 0.5 * ramp_m)]
+    return found
 
 
 @kernel

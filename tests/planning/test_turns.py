@@ -10,14 +10,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from geometry.footprint import footprints
+from geometry.footprint import footprints, worked
 from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
-from planning.turns.curve import MAX_SEGMENTS, solve, trace
+from planning.turns.curve import MAX_SEGMENTS, _slopes, solve, trace
 from planning.turns.departure import departure_of, placed
 from planning.turns.free_space import FreeSpace
-from planning.turns.search import MIN_RUN_M, Connection, ConnectionRequest, TurnTimes, bounds_s, find_turn
+from planning.turns.search import (
+    MIN_RUN_M,
+    Connection,
+    ConnectionRequest,
+    TurnTimes,
+    _free_ends,
+    bounds_s,
+    find_turn,
+)
 from planning.turns.transit import along_passes, both_ways
 from planning.turns.words import MAX_WORDS, SEGMENTS, end_of, words
 
@@ -170,3 +178,42 @@ def test_tail_stays_inside_on_a_departure(tail_m: float, slack_m: float) -> None
     assert np.diff(leg.curvature_radpm).max() < 0.03
     travel = np.arctan2(*np.diff(leg.p_map_m, axis=0).T[::-1])
     assert travel == pytest.approx(0.5 * (leg.heading_rad[1:] + leg.heading_rad[:-1]), abs=1e-3)
+
+
+def test_slopes_of_a_curve_are_those_of_its_end() -> None:
+    lengths = np.array([4.0, 6.0, 0.0, 5.0, -7.0, -3.0, 0.0])
+    bends = np.array([0.0, 0.2, 0.0, -0.2, -0.2, 0.0, 0.0])
+    start, poses, slopes = np.array([3.0, -2.0, 0.7]), np.empty((4000, 5)), np.empty((3, MAX_SEGMENTS))
+
+    def end_of_curve(lengths_m: np.ndarray) -> np.ndarray:
+        return poses[trace(lengths_m, bends, start, RAMP_M, 0.01, poses) - 1, :3].copy()
+
+    end = end_of_curve(lengths)
+    _slopes(lengths, bends, end[0], end[1], 0.01, 1.0, poses, slopes)
+    for k in np.flatnonzero(lengths):
+        moved = [end_of_curve(lengths + by * np.eye(MAX_SEGMENTS)[k]) for by in (-0.1, 0.1)]
+        assert slopes[:, k] == pytest.approx((moved[1] - moved[0]) / 0.2, abs=0.02)
+
+
+def test_straight_ends_of_turns_are_those_that_are_free() -> None:
+    space = FreeSpace(FIELD, BODIES, RADIUS_M, RAMP_M)
+    pose, lengths = np.array([60.0, 20.0, 0.0]), np.array([3.0, 6.0, 9.0, -3.0, -12.0, -40.0])
+    ends = _free_ends(pose, 1.0, lengths, RAMP_M, space.boxes_m, *space.grid)
+    assert ends.tolist() == [
+        3.0,
+        6.0,
+        -3.0,
+        -12.0,
+    ]  # the wall is 6.5 m before the front, the pond 30.6 m behind the rear
+    ends = _free_ends(pose, -1.0, lengths, RAMP_M, space.boxes_m, *space.grid)  # before a goal
+    assert ends.tolist() == [3.0, 6.0, 9.0, -3.0]
+
+
+@pytest.mark.parametrize(("radius_m", "width_m"), [(5.0, 3.0), (5.0, 12.0), (80.0, 6.0)])
+def test_area_between_edge_lines_is_the_union_of_its_steps(radius_m: float, width_m: float) -> None:
+    heading = np.cumsum(np.sin(np.arange(200) / 30.0)) * 0.4 / radius_m
+    along = np.column_stack([np.cos(heading), np.sin(heading)])
+    middle, left = np.cumsum(0.4 * along, axis=0) - 1.5 * along, np.column_stack([-along[:, 1], along[:, 0]])
+    a, b = middle + 0.5 * width_m * left, middle - 0.5 * width_m * left
+    steps = [shapely.convex_hull(shapely.MultiPoint([a[k], a[k + 1], b[k + 1], b[k]])) for k in range(199)]
+    assert worked(a, b).symmetric_difference(shapely.union_all(steps)).area < 1e-6
