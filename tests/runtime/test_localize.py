@@ -279,6 +279,6 @@ def test_kitti_with_every_tenth_fix(tmp_path: Path) -> None:
     assert result["truth"] == "fixes that were withheld"
     assert sum(result["fixes"].values()) == 20
     assert result["fixes"]["used"] > 10
-    assert result["error"]["n"] > 120
+    assert result["error"]["n"] > 110  # the first 70 s hold samples that are interpolated, and no start
     assert result["error"]["median_m"] < 3.5
     assert result["placed_after_alignment"] > 0.95
