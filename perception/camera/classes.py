@@ -4,6 +4,7 @@ import numpy as np
 
 from geometry.arrays import Float32, Float64
 from messages.perception import ObstacleClass
+from perception.class_order import CLASSES
 
 COCO = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
@@ -24,7 +25,6 @@ MEMBERS: dict[ObstacleClass, tuple[str, ...]] = {
 }
 GROUPS = tuple(MEMBERS)
 _COLUMNS = tuple(np.array([COCO.index(name) for name in MEMBERS[group]]) for group in GROUPS)
-_ORDER = tuple(ObstacleClass)
 
 
 def group_scores(scores: Float32) -> Float32:
@@ -33,7 +33,7 @@ def group_scores(scores: Float32) -> Float32:
 
 
 def class_scores(group: int, score: float) -> Float64:
-    """Class scores (7,) in the order of `ObstacleClass`: the remainder is shared equally by the other classes."""
-    row = np.full(len(_ORDER), (1.0 - score) / (len(_ORDER) - 1))
-    row[_ORDER.index(GROUPS[group])] = score
+    """Class scores (8,) in the order of `ObstacleClass`: the remainder is shared equally by the other classes."""
+    row = np.full(len(CLASSES), (1.0 - score) / (len(CLASSES) - 1))
+    row[CLASSES.index(GROUPS[group])] = score
     return row

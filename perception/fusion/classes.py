@@ -8,10 +8,10 @@ import numpy as np
 
 from geometry.arrays import Float64, Int64
 from messages.perception import ObstacleClass
-from perception.fusion.tracks import AIRBORNE, CLASSES, FLIGHT_MPS, UNKNOWN, TrackTable
-from perception.lidar.classes import UNKNOWN_WEIGHT, trapezoid
+from perception.class_order import AIRBORNE, ANIMAL, CLASSES, PERSON, UNKNOWN
+from perception.fusion.tracks import FLIGHT_MPS, TrackTable
+from perception.lidar.classes import UNKNOWN_WEIGHT, Trapezoid, trapezoid
 
-PERSON, ANIMAL = CLASSES.index(ObstacleClass.PERSON), CLASSES.index(ObstacleClass.ANIMAL)
 CLASS_SPEEDS_MPS = {
     ObstacleClass.PERSON: 4.0,
     ObstacleClass.POLE: 0.7,
@@ -51,9 +51,7 @@ def classify(table: TrackTable, velocity_mps: Float64) -> tuple[Int64, Float64]:
     return best, share[np.arange(len(best)), best]
 
 
-def moving_probability(
-    body: tuple[tuple[float, float, float, float], ...], size_m: Float64, speed_mps: Float64
-) -> Float64:
+def moving_probability(body: tuple[Trapezoid, ...], size_m: Float64, speed_mps: Float64) -> Float64:
     """Probability (T,) that boxes (T, 3) at these speeds (T,) are such a body, against an unknown object."""
     length, width, height, speed = body
     fit = trapezoid(size_m[:, 0], *length) * trapezoid(size_m[:, 1], *width) * trapezoid(size_m[:, 2], *height)

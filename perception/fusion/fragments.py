@@ -15,9 +15,6 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 from geometry.jit import kernel
-from messages.perception import ObstacleClass
-
-VEHICLE = tuple(ObstacleClass).index(ObstacleClass.VEHICLE)
 
 
 class FragmentsConfig(Config):

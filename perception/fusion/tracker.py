@@ -9,11 +9,11 @@ from messages.motion import Odometry, odometry_at
 from messages.node import All, At, Inbox, Node, On, Output
 from messages.perception import Obstacles, Track, Tracks
 from messages.topics import spec_of
+from perception.class_order import CLASSES
 from perception.fusion.classes import classify
 from perception.fusion.detections import to_odom
 from perception.fusion.static_occupancy import StaticOccupancy
 from perception.fusion.tracks import (
-    CLASSES,
     TrackerConfig,
     active_rows,
     confirm,

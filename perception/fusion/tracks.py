@@ -9,17 +9,14 @@ from scipy.optimize import linear_sum_assignment
 from configs.strict import Config
 from geometry.arrays import Bool, Float64, Int64
 from messages.perception import ObstacleClass
+from perception.class_order import AIRBORNE, CLASSES, PERSON, POLE, UNKNOWN, VEHICLE
 from perception.fusion.detections import Detections, KindConfig, KindConfigs, NoiseConfig
 from perception.fusion.fitted_motion import KEPT, FittedMotionConfig, fitted_motion, remember
-from perception.fusion.fragments import VEHICLE, FragmentsConfig, ParentTracks, is_fragment
+from perception.fusion.fragments import FragmentsConfig, ParentTracks, is_fragment
 from perception.fusion.kalman import distances, predict
 from perception.fusion.static_occupancy import StaticOccupancy, StaticOccupancyConfig
 
-CLASSES = tuple(ObstacleClass)
 MOVING_CLASSES = np.isin(CLASSES, (ObstacleClass.PERSON, ObstacleClass.ANIMAL, ObstacleClass.VEHICLE))
-UNKNOWN, PERSON, POLE, AIRBORNE = (
-    CLASSES.index(c) for c in (ObstacleClass.UNKNOWN, ObstacleClass.PERSON, ObstacleClass.POLE, ObstacleClass.AIRBORNE)
-)
 FLIGHT_MPS = 3.0  # a person or an animal that runs so fast was seen on the ground before
 SLENDER_M, PERSON_HEIGHT_M = 0.5, 2.0  # what is narrower and higher, of no class, is a post or the edge of a wall
 RAIL_M, RAIL_RATIO = 0.6, 0.1  # least length, and greatest width over it, of a piece of fence

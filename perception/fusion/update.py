@@ -10,12 +10,12 @@ which a body may come into view, the evidence of its motion starts again.
 import numpy as np
 
 from geometry.arrays import Bool, Float64, Int64
+from perception.class_order import AIRBORNE, VEHICLE
 from perception.fusion.detections import Detections
 from perception.fusion.fitted_motion import has_travelled, length_in_view, remember
-from perception.fusion.fragments import VEHICLE, shift_center
+from perception.fusion.fragments import shift_center
 from perception.fusion.kalman import box_noise, correct
 from perception.fusion.tracks import (
-    AIRBORNE,
     FLIGHT_MPS,
     FRAGMENT_LENGTH_RATIO,
     TrackerConfig,

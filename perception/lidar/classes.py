@@ -4,14 +4,11 @@ import numpy as np
 
 from geometry.arrays import Bool, Float64, UInt8
 from messages.perception import ObstacleClass
+from perception.class_order import AIRBORNE, ANIMAL, CLASSES, UNKNOWN, VEHICLE
 from perception.lidar.bodies import BODY, MAY_HOLD_BODY
 
-CLASSES = tuple(ObstacleClass)
 UNKNOWN_WEIGHT = 0.25  # score of `UNKNOWN` against a perfect match of 1
 PART = 0.2  # of a body that is seen in part: less than `UNKNOWN_WEIGHT`
-ANIMAL, VEHICLE, AIRBORNE = (
-    CLASSES.index(label) for label in (ObstacleClass.ANIMAL, ObstacleClass.VEHICLE, ObstacleClass.AIRBORNE)
-)
 # height, length and width of bodies, each a trapezoid (zero below, one from, one to, zero above) in metres
 Trapezoid = tuple[float, float, float, float]
 SHAPES: tuple[tuple[ObstacleClass, Trapezoid, Trapezoid, Trapezoid], ...] = (
@@ -46,7 +43,7 @@ def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool, kinds: UInt
     a body is as much unknown as a vehicle.
     """
     scores = np.zeros((len(size_m), len(CLASSES)))
-    scores[:, 0] = UNKNOWN_WEIGHT
+    scores[:, UNKNOWN] = UNKNOWN_WEIGHT
     sides_m = np.stack([top_m, size_m[:, 0], size_m[:, 1]])[:, :, None]
     height, length, width = trapezoid(sides_m, *LIMITS)
     is_part = IS_LARGE & (sides_m[1:] <= LIMITS[2, 1:]).all(axis=0)
@@ -55,7 +52,7 @@ def class_scores(size_m: Float64, top_m: Float64, is_floating: Bool, kinds: UInt
         scores[:, label] = np.maximum(scores[:, label], fits[:, column])
     scores[:, AIRBORNE] = is_floating
     doubtful = kinds == MAY_HOLD_BODY
-    scores[doubtful, 0] = np.maximum(scores[doubtful, 0], scores[doubtful, VEHICLE])
+    scores[doubtful, UNKNOWN] = np.maximum(scores[doubtful, UNKNOWN], scores[doubtful, VEHICLE])
     scores[kinds == BODY] = BODY_SCORES
     return np.asarray(scores / scores.sum(axis=1, keepdims=True), np.float64)
 

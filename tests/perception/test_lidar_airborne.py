@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from messages.perception import ObstacleClass
-from perception.lidar.classes import CLASSES, class_scores
+from perception.class_order import CLASSES
+from perception.lidar.classes import class_scores
 from perception.lidar.obstacles import Pipeline
 from tests.perception.lidar_scenes import FRONT, LIDAR_CONFIG, VEHICLE, box, cast, listed, person
 

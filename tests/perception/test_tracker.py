@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from geometry.transforms import planar
 from messages.perception import ObstacleClass, Obstacles
+from perception.class_order import CLASSES
 from perception.fusion.kalman import box_noise, correct, distances, predict
 from perception.fusion.tracker import Tracker
-from perception.fusion.tracks import CLASSES, is_upright, is_view
+from perception.fusion.tracks import is_upright, is_view
 from perception.lidar.classes import class_scores
 from tests.perception.lidar_scenes import TRACKER_CONFIG, Feed, odometry
 
