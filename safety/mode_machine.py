@@ -114,12 +114,16 @@ class ModeMachine:
         is_held |= self.mode is Mode.START_WARNING and situation.is_departure_unresolved
         if decision.is_obstacle_inside or is_held:
             return True
-        is_body_in_path = situation.standing_body.gap_m == 0.0
-        least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps
-        if decision.passable_mps >= least_mps or situation.is_moving:
+        if self._is_passable(situation, decision) or situation.is_moving:
             return False
         control_command = situation.inputs.control_command
         return self.mode is Mode.START_WARNING or (control_command is not None and control_command.speed_mps != 0.0)
+
+    def _is_passable(self, situation: Situation, decision: Decision) -> bool:
+        """Whether what is seen in the path lets the machine creep, or, with a standing body in the path, resume."""
+        is_body_in_path = situation.standing_body.gap_m == 0.0
+        least_mps = kmh(self._config.resume_kmh) if is_body_in_path else self._config.creep_mps
+        return not decision.is_obstacle_inside and decision.passable_mps >= least_mps
 
     def _enter(self, before: Mode, situation: Situation, decision: Decision) -> None:
         """Sets what depends on a change of mode."""
@@ -129,8 +133,7 @@ class ModeMachine:
         self._clear.update(situation.now_ns, False)
         self._open.update(situation.now_ns, False)
         if self.mode is Mode.OBSTACLE_STOP:
-            is_passable = not decision.is_obstacle_inside and decision.passable_mps >= self._config.creep_mps
-            is_unconfirmed = is_passable and situation.is_departure_unresolved
+            is_unconfirmed = self._is_passable(situation, decision) and situation.is_departure_unresolved
             self._cause = UNCONFIRMED if is_unconfirmed else decision.blocking.code
         is_waiting = self.mode is Mode.STANDBY and self._was_waiting
         if self.mode in (Mode.MANUAL, Mode.EMERGENCY_STOP) or is_waiting:
