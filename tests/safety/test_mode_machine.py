@@ -245,6 +245,15 @@ def test_creep_and_resume_speed_at_their_limits(bench: Bench) -> None:
     assert show(2.5, kmh(1.8)) is Mode.START_WARNING
 
 
+def test_a_stop_before_somebody_in_view_names_them(config: SupervisorConfig) -> None:
+    """A machine that may not resume before who stands in its path does not ask whether they left."""
+    bench = Bench(config).driving()
+    body = StandingBody(0.83, 0.0, ObstacleClass.PERSON)
+    distance = required_range(0.3, config.braking.flat, 2.1)
+    bench.show(**STANDING, **near(distance), standing_body=body, is_departure_unresolved=True)
+    assert (bench.mode_machine.mode, bench.reason) == (Mode.OBSTACLE_STOP, "protective_field")
+
+
 @clause("BD-5.2.4")
 def test_no_creeping_up_to_a_body_that_stands_in_the_path(config: SupervisorConfig) -> None:
     distance = required_range(0.3, config.braking.flat, 2.1)
