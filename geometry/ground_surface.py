@@ -58,18 +58,52 @@ def heights_above_ground(
 
 
 @kernel
+def typical_of_blocks(tops: Float64, size: int, quantile: float, least: int) -> Float64:
+    """Quantile of the finite tops (R, C) of a block of `size` by `size` cells that is typical of the blocks about it.
+
+    Of each cell, (R, C): the lower median of its block and the eight around; infinite where all of them have fewer
+    than `least` finite tops.
+    """
+    rows, columns = tops.shape
+    shape = (rows + size - 1) // size, (columns + size - 1) // size
+    own, some, known = np.full(shape, np.inf), np.empty(size * size), np.empty(9)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            count = 0
+            for row in range(i * size, min((i + 1) * size, rows)):
+                for column in range(j * size, min((j + 1) * size, columns)):
+                    if tops[row, column] < np.inf:
+                        some[count] = tops[row, column]
+                        count += 1
+            if count >= least:
+                own[i, j] = np.sort(some[:count])[int(np.ceil(quantile * (count - 1)))]
+    out = np.full((rows, columns), np.inf)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            count = 0
+            for a in range(max(i - 1, 0), min(i + 2, shape[0])):
+                for b in range(max(j - 1, 0), min(j + 2, shape[1])):
+                    if own[a, b] < np.inf:
+                        known[count] = own[a, b]
+                        count += 1
+            if count > 0:
+                out[i * size : (i + 1) * size, j * size : (j + 1) * size] = np.sort(known[:count])[(count - 1) // 2]
+    return out
+
+
+@kernel
 def stand_out_of_cell(
     xyz: Float32, height_m: Float64, plants_m: Float64, corner_m: tuple[float, float], cell_m: float,
-    limits_m: tuple[float, float, float], shares: tuple[float, float], returns: int, width_m: float,
+    least_m: Float64, dense_m: Float64, margin_m: float, shares: tuple[float, float], returns: int, width_m: float,
 ) -> tuple[Bool, Bool]:  # fmt: skip
     """Which returns (3, N) of height (N,) stand out with enough others of their cell, (N,), and which are of plants.
 
-    Cells as in `heights_above_ground`, with the height of plants in each (R, C). `limits_m`: height above which returns
-    count if the first of `shares` of their cell do, height above which they count if the second share and a number of
-    `returns` do whose standard deviation along y is `width_m` (a row of crop runs along x), and margin above plants.
+    Cells as in `heights_above_ground`, with the height of plants in each (R, C). `least_m` (N,): height above which
+    returns count if the first of `shares` of their cell do. `dense_m` (N,): height above which they count if the second
+    share and a number of `returns` do whose standard deviation along y is `width_m` (a row of crop runs along x).
+    `margin_m`: above plants.
     """
     rows, columns = plants_m.shape
-    least_m, dense_m, margin_m = limits_m
     x0, y0, size = np.float32(corner_m[0]), np.float32(corner_m[1]), np.float32(cell_m)
     cell, plants = np.empty(xyz.shape[1], np.int64), plants_m.reshape(-1)
     count = np.zeros((3, rows * columns), np.int64)  # of all returns, of those above the first limit, of the second
@@ -81,17 +115,17 @@ def stand_out_of_cell(
         here = cell[k] = row * columns + column
         plant_m = plants[here]
         is_plant[k] = plant_m > 0.0 and height_m[k] <= plant_m + margin_m
-        is_above[k] = not is_plant[k] if plant_m > 0.0 else height_m[k] > least_m
+        is_above[k] = not is_plant[k] if plant_m > 0.0 else height_m[k] > least_m[k]
         count[0, here] += 1
         count[1, here] += is_above[k]
-        if plant_m == 0.0 and height_m[k] > dense_m:
+        if plant_m == 0.0 and height_m[k] > dense_m[k]:
             y = float(xyz[1, k] - y0)
             count[2, here] += 1
             sums[0, here] += y
             sums[1, here] += y * y
     for k in range(xyz.shape[1]):
         all_of, above, dense = count[:, cell[k]]
-        is_dense = height_m[k] > dense_m and plants[cell[k]] == 0.0
+        is_dense = height_m[k] > dense_m[k] and plants[cell[k]] == 0.0
         is_dense &= dense >= max(float(returns), shares[1] * all_of)
         if is_dense:
             mean, square = sums[:, cell[k]] / dense
@@ -232,7 +266,7 @@ def envelope(low: Float64, rise_m: float, reach: int) -> Float64:
 def plant_heights(tops: Float64, reach: int, low: float, high: float, share: float, extent: int = 0) -> Float64:
     """Upper quartile of the tops (R, C) above `low`, at most `high`, within reach of each cell in rows and columns.
 
-    0 where fewer than `share` of the finite ones are, or where the outermost are less than `extent` rows or columns apart.
+    0 where fewer than `share` of the finite ones are, or where they extend over less than `extent` rows or columns.
     """
     rows, columns = tops.shape
     out, some = np.zeros((rows, columns)), np.empty((2 * reach + 1) ** 2)

@@ -46,7 +46,7 @@ def plants(z: Float32, starts: Int32, surface_m: Float64, grid: Grid, config: Ve
         return None
     turn = (np.arange(grid.sectors) + 0.5) * (2.0 * np.pi / grid.sectors)
     at = grid.range_m[:bins, None] * np.array([np.cos(turn), np.sin(turn)])[:, None]  # (2, bins, sectors)
-    row, column = np.int64(np.floor((at.swapaxes(1, 2) + grid.range_m[bins - 1]) / CELL_M))
+    row, column = np.floor((at.swapaxes(1, 2) + grid.range_m[bins - 1]) / CELL_M).astype(np.int64)
     level = np.full((row.max() + 1, column.max() + 1), -np.inf)  # square cells, each with the highest of its tops
     np.maximum.at(level, (row[is_known], column[is_known]), known)
     level[np.isneginf(level)] = np.inf

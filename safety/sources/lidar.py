@@ -19,6 +19,7 @@ from geometry.ground_surface import (
     plane_sums,
     plant_heights,
     stand_out_of_cell,
+    typical_of_blocks,
 )
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
@@ -391,7 +392,9 @@ def warm(T_base_sensor: Float64) -> None:
     envelope(np.zeros((1, 1)), 0.0, 1)
     xyz, corner, shape = np.zeros((3, 1), np.float32), (0.0, 0.0), (2, 2)
     heights_above_ground(xyz, corner, shape, 1.0, 0.0, 0.0, 0.0, 1.0)
-    stand_out_of_cell(xyz, np.zeros(1), np.zeros(shape), corner, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0), 1, 0.0)
+    zero = np.zeros(1)
+    stand_out_of_cell(xyz, zero, np.zeros(shape), corner, 1.0, zero, zero, 0.0, (0.0, 0.0), 1, 0.0)
+    typical_of_blocks(np.zeros(shape), 1, 0.5, 1)
     plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
     cell = cells_in_grid(xyz, corner, shape, 1.0)
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))

@@ -13,13 +13,21 @@ consents to plants of that height.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from geometry.arrays import Float32, Float64, quantile
-from geometry.ground_surface import heights_above_ground, plant_heights, stand_out_of_cell
+from geometry.ground_surface import (
+    cells_in_grid,
+    heights_above_ground,
+    plant_heights,
+    stand_out_of_cell,
+    typical_of_blocks,
+)
 from safety.config import NearFieldConfig, VegetationConfig
 from safety.sources.ground_filter import WHEELS_X_M
 from safety.zones.footprint import Box, Footprint
 
+BLOCK_CELLS, BLOCK_LEAST = 5, 8  # of the roughness of a place: its cells to either side, and the least that show it
 MIN_CELLS = 2  # in each direction, for interpolation
 
 
@@ -29,7 +37,8 @@ class NearField:
 
     `is_obstacle` (N,) bool: above the ground and no plant; `is_plant` (N,) bool: within plants that the mission
     consents to. `is_dense` (N,) bool: obstacle only because many returns of its cell are so high. `min_height_m`: least
-    height that counts elsewhere. `vegetation_m`: height of the plants that cover most of the ground.
+    height that counts on ground as rough as most of it; it is less where the ground about is smoother. `vegetation_m`:
+    height of the plants that cover most of the ground.
     """
 
     is_obstacle: np.ndarray
@@ -65,21 +74,41 @@ def mark_low_obstacles(
     is_ground = (plants_m == 0.0) | (even_m == 0.0)  # a few cells may be rough ground just as well
     rough_m = quantile_of(ground_tops_m[is_ground], config.roughness_quantile)
     min_height_m = max(config.min_height_m, config.roughness_factor * rough_m)
-    dense_m = max(config.min_height_m, config.dense_factor * rough_m)
+    local_m = typical_of_blocks(
+        np.where(is_ground, ground_tops_m, np.inf), BLOCK_CELLS, config.roughness_quantile, BLOCK_LEAST
+    )
+    broad_m = broad_tops(tops_m)
+    at = cells_in_grid(near_xyz, (x_low / config.cell_m, y_low / config.cell_m), shape, config.cell_m)
+    least_m, dense_m = (
+        np.minimum(
+            max(config.min_height_m, factor * rough_m), broad_m + np.maximum(config.min_height_m, factor * local_m)
+        ).reshape(-1)[at]  # of each return
+        for factor in (config.roughness_factor, config.dense_factor)
+    )
     if (height_m > dense_m).any() or plants_m.any():
-        limits_m = min_height_m, dense_m, vegetation.margin_m
-        limits = config.cell_m, limits_m, (config.min_share, config.dense_share), config.dense_returns
+        limits = config.cell_m, least_m, dense_m, vegetation.margin_m
+        counts = (config.min_share, config.dense_share), config.dense_returns, config.dense_width_m
         is_obstacle[inside], is_plant[inside] = stand_out_of_cell(
-            near_xyz, height_m, plants_m, (x_low, y_low), *limits, config.dense_width_m
+            near_xyz, height_m, plants_m, (x_low, y_low), *limits, *counts
         )
         half_m = 0.5 * config.cell_m  # a body that lies across the edges of cells fills one of shifted cells
         for corner in ((x_low - half_m, y_low), (x_low, y_low - half_m), (x_low - half_m, y_low - half_m)):
-            some, _ = stand_out_of_cell(near_xyz, height_m, plants_m, corner, *limits, config.dense_width_m)
-            is_obstacle[inside] |= some & (height_m <= min_height_m) & ~is_plant[inside]
-        is_dense[inside] = is_obstacle[inside] & (height_m <= min_height_m)
+            some, _ = stand_out_of_cell(near_xyz, height_m, plants_m, corner, *limits, *counts)
+            is_obstacle[inside] |= some & (height_m <= least_m) & ~is_plant[inside]
+        is_dense[inside] = is_obstacle[inside] & (height_m <= least_m)
     else:
-        is_obstacle[inside] = height_m > min_height_m
+        is_obstacle[inside] = height_m > least_m
     return NearField(is_obstacle, is_dense, is_plant, min_height_m, even_m)
+
+
+def broad_tops(tops_m: Float64) -> Float64:
+    """Height of what is broader than a body that lies about each cell (R, C) with the tops: their opening by 3 cells.
+
+    The residue of waves of the ground rises from cell to cell; a body, less than a cell wide, at once.
+    """
+    low_m = minimum_filter(tops_m, 3, mode="nearest")
+    broad_m = maximum_filter(np.where(np.isfinite(low_m), low_m, -np.inf), 3, mode="nearest")
+    return np.asarray(np.maximum(broad_m, 0.0))
 
 
 def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, consented_m: float) -> Float64:

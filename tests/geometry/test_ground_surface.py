@@ -16,6 +16,7 @@ from geometry.ground_surface import (
     plane_sums,
     plant_heights,
     stand_out_of_cell,
+    typical_of_blocks,
 )
 
 SHAPE, CELL_M = (16, 24), 0.5
@@ -160,7 +161,7 @@ def test_returns_stand_out_with_others_of_their_cell(heights: list[float], plant
     xyz[0, :n], xyz[1, :n], plants_m[1, 0] = 1.7, 0.2, plant_m
     height_m = np.array([*heights, 0.3])  # the last one is alone in its cell, without plants
     is_above, is_plant = stand_out_of_cell(
-        xyz, height_m, plants_m, (0.0, -0.1), 1.0, (0.15, 0.11, 0.05), (0.05, 0.5), 2, 0.0
+        xyz, height_m, plants_m, (0.0, -0.1), 1.0, np.full(n + 1, 0.15), np.full(n + 1, 0.11), 0.05, (0.05, 0.5), 2, 0.0
     )
     assert is_above.tolist() == [*counts, True]
     assert is_plant.tolist() == [plant_m > 0.0 and h <= plant_m + 0.05 for h in heights] + [False]
@@ -177,9 +178,24 @@ def test_many_returns_of_a_line_along_the_machine_do_not_stand_out(
     along, c, s = np.linspace(-0.2, 0.2, 16), np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
     across = across_m * np.where(np.arange(16) % 2 == 0, 1.0, -1.0)
     xyz = np.array([40.5 + c * along - s * across, 0.5 + s * along + c * across, np.zeros(16)], np.float32)
-    limits = ((0.2, 0.11, 0.05), (0.05, 0.5), 6, 0.016)
+    limits = (np.full(16, 0.2), np.full(16, 0.11), 0.05, (0.05, 0.5), 6, 0.016)
     is_above, _ = stand_out_of_cell(xyz, np.full(16, 0.15), np.zeros((2, 2)), (40.0, 0.0), 1.0, *limits)
     assert is_above.all() == is_above.any() == counts
+
+
+def test_typical_of_blocks_ignores_few_blocks_and_follows_many() -> None:
+    """Blocks of 2 by 2 cells: a rough one, a column of rough ones at the edge, a rough half; and one without tops."""
+    tops = np.full((8, 12), 0.01)
+    assert typical_of_blocks(tops, 2, 0.95, 2).tolist() == tops.tolist()
+    one, edge, half = tops.copy(), tops.copy(), tops.copy()
+    one[2:4, 4:6], edge[:, :2], half[:, :6] = 0.3, 0.3, 0.3
+    assert (typical_of_blocks(one, 2, 0.95, 2) == 0.01).all()
+    assert (typical_of_blocks(edge, 2, 0.95, 2)[:, 2:] == 0.01).all()
+    assert (typical_of_blocks(half, 2, 0.95, 2)[:, :4] == 0.3).all()
+    assert (typical_of_blocks(half, 2, 0.95, 2)[:, 8:] == 0.01).all()
+    none = np.full((2, 2), np.inf)
+    none[0, 0] = 0.1
+    assert np.isinf(typical_of_blocks(none, 2, 0.95, 2)).all()
 
 
 def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:

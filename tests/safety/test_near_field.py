@@ -67,6 +67,22 @@ def test_least_height_follows_the_roughness(config: SupervisorConfig) -> None:
 
 
 @clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize("verge_m", [-2.5, -1.5])
+def test_a_rough_verge_does_not_hide_who_lies_on_the_smooth_track(config: SupervisorConfig, verge_m: float) -> None:
+    """Tufts of 0.3 m along one side are the roughness there, and no obstacles; on the track a child counts."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        xyz = np.concatenate([field_of(rng, 0.01), field_of(rng, 0.01)], axis=1)
+        is_tuft = (xyz[1] < verge_m) & (rng.random(xyz.shape[1]) < 0.2)
+        xyz[2, is_tuft] = rng.uniform(0.1, 0.3, is_tuft.sum())
+        is_body = put_body(xyz, 0.17, (1.1, 0.3))
+        found = marked(xyz, AREA, config)
+        assert found.min_height_m > 0.3
+        assert found.is_obstacle[is_body].mean() > 0.8
+        assert found.is_obstacle[~is_body].mean() < 0.01
+
+
+@clause("BD-5.2.4", rule="protective_field")
 def test_a_low_body_among_rows_of_crop(config: SupervisorConfig) -> None:
     """Rows reach 0.08 m, so a few returns count from 0.2 m on, and many from 0.12 m."""
     for seed in range(5):
