@@ -8,6 +8,7 @@ from geometry.arrays import Bool, Float32, Float64, Int32, Int64
 from geometry.jit import inline_kernel, kernel
 
 REACH = 3  # cells over which a lower place lowers the surface
+PIT_M, PIT_REACH = 0.3, 2  # depth of reflections below the ground, and cells about them that show it
 RANKS = 32  # up to this rank a quantile is found in one pass
 
 
@@ -22,7 +23,7 @@ def heights_above_ground(
     fewer than three.
 
     The grid of `shape` cells begins at `corner_m`; returns beyond it belong to its outermost cells. The low `quantile`
-    of each cell may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells of that is the
+    of each cell, without pits, may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells of that is the
     trend. The same of the rest, with `residual_slope`, is what remains of the ground.
     """
     rows, columns = shape
@@ -45,11 +46,13 @@ def heights_above_ground(
         height[k] = xyz[2, k]
         by_cell[place[k]] = height[k]
     tops[0] = second_largest(by_cell, begin, np.inf)
-    trend = _smoothed(envelope(_low(by_cell, begin, quantile, rows, columns), slope * cell_m, REACH))
+    low = _without_pits(_low(by_cell, begin, quantile, rows, columns))
+    trend = _smoothed(envelope(low, slope * cell_m, REACH))
     for k in range(count):
         height[k] -= _interpolated(trend, at[k, 0] - 0.5, at[k, 1] - 0.5)
         by_cell[place[k]] = height[k]
-    rest = envelope(_low(by_cell, begin, quantile, rows, columns), residual_slope * cell_m, REACH).reshape(-1)
+    low = _without_pits(_low(by_cell, begin, quantile, rows, columns))
+    rest = envelope(low, residual_slope * cell_m, REACH).reshape(-1)
     for k in range(count):
         height[k] -= rest[cell[k]]
         by_cell[place[k]] = height[k]
@@ -283,6 +286,30 @@ def plant_heights(tops: Float64, reach: int, low: float, high: float, share: flo
                         first, last, left, right = min(first, i), max(last, i), min(left, j), max(right, j)
             if count > 0 and count >= share * known and min(last - first, right - left) >= extent:
                 out[row, column] = np.sort(some[:count])[3 * count // 4]
+    return out
+
+
+@inline_kernel
+def _without_pits(low: Float64) -> Float64:
+    """The low heights (R, C) of the cells, infinite where one is `PIT_M` below a quarter of the known ones about it.
+
+    Reflections in water and on wet ground lie below it; each lowers the surface within reach.
+    """
+    rows, columns = low.shape
+    out, some = low.copy(), np.empty((2 * PIT_REACH + 1) ** 2)
+    for row in range(rows):
+        for column in range(columns):
+            count = 0
+            for i in range(max(row - PIT_REACH, 0), min(row + PIT_REACH + 1, rows)):
+                for j in range(max(column - PIT_REACH, 0), min(column + PIT_REACH + 1, columns)):
+                    if low[i, j] < np.inf:
+                        some[count] = low[i, j]
+                        count += 1
+            below = 0
+            for k in range(count):
+                below += some[k] <= low[row, column] + PIT_M
+            if count > 0 and 4 * below <= count:
+                out[row, column] = np.inf
     return out
 
 

@@ -211,3 +211,16 @@ def test_returns_above_the_ground_of_their_cells() -> None:
     ground_m = np.array([0.0, 1.0], np.float32)
     found = above_cells(xyz, np.array([0, 0, 1, 1]), ground_m, np.float32(0.25), np.float32(0.02))
     assert found.tolist() == [True, False, True, False]
+
+
+def test_reflections_below_the_ground_do_not_lower_it() -> None:
+    """Two cells of returns 0.6 m below a level field; a step down beside it, broader than that, is ground."""
+    rng = np.random.default_rng(1)
+    xyz = np.stack([rng.uniform(0.0, 10.0, 8000), rng.uniform(0.0, 8.0, 8000), rng.normal(0.0, 0.01, 8000)])
+    is_below = (np.abs(xyz[0] - 5.0) < 0.5) & (np.abs(xyz[1] - 4.25) < 0.25)
+    xyz[2, is_below] -= 0.6
+    is_lower = xyz[0] > 7.0
+    xyz[2, is_lower] -= 0.6
+    height, _ = heights_above_ground(xyz.astype(np.float32), (0.0, 0.0), (20, 16), 0.5, 0.1, 0.1, 0.05, 0.3)
+    assert np.abs(height[~is_below & (xyz[0] < 5.0)]).max() < 0.1
+    assert np.abs(height[xyz[0] > 7.5]).max() < 0.1
