@@ -23,8 +23,8 @@ def heights_above_ground(
     fewer than three.
 
     The grid of `shape` cells begins at `corner_m`; returns beyond it belong to its outermost cells. The low `quantile`
-    of each cell, without pits, may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells of that is the
-    trend. The same of the rest, with `residual_slope`, is what remains of the ground.
+    of each cell, without pits, may rise by `slope` (rise over run) from its lowest neighbour; the mean of 3 x 3 cells
+    of that is the trend. The same of the rest, with `residual_slope`, is what remains of the ground.
     """
     rows, columns = shape
     count = xyz.shape[1]
