@@ -95,6 +95,28 @@ def typical_of_blocks(tops: Float64, size: int, quantile: float, least: int) -> 
 
 
 @kernel
+def broad_tops(tops: Float64) -> Float64:
+    """Height of what is at least three cells broad about each cell (R, C) with the tops: their opening; at least 0.
+
+    The residue of waves of the ground rises from cell to cell; a body that lies, less than a cell wide, at once.
+    """
+    rows, columns = tops.shape
+    low, out = np.full((rows, columns), np.inf), np.zeros((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            for a in range(max(i - 1, 0), min(i + 2, rows)):
+                for b in range(max(j - 1, 0), min(j + 2, columns)):
+                    low[i, j] = min(low[i, j], tops[a, b])
+    for i in range(rows):
+        for j in range(columns):
+            for a in range(max(i - 1, 0), min(i + 2, rows)):
+                for b in range(max(j - 1, 0), min(j + 2, columns)):
+                    if low[a, b] < np.inf:
+                        out[i, j] = max(out[i, j], low[a, b])
+    return out
+
+
+@kernel
 def stand_out_of_cell(
     xyz: Float32, height_m: Float64, plants_m: Float64, corner_m: tuple[float, float], cell_m: float,
     least_m: Float64, dense_m: Float64, margin_m: float, shares: tuple[float, float], returns: int, width_m: float,

@@ -26,6 +26,7 @@ from safety.sources.detection_range import limit_by_health
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
+from safety.sources.near_field import ground_lidars
 from safety.sources.radar import RadarSource
 from safety.sources.ultrasonic import UltrasonicSource, is_confirmed_by_track
 from safety.zones.footprint import Box, Footprint
@@ -50,8 +51,10 @@ class ObstacleSources:
     def __init__(self, sensors: Sensors, footprint: Footprint, config: SafetyConfig, consented_m: float = 0.0) -> None:
         field, ultrasonic = config.field, config.ultrasonic
         height = (field.min_height_m, footprint.height_m + field.overhead_margin_m)
+        ground = ground_lidars(sensors.lidar, footprint)
         self.lidars = tuple(
-            LidarSource(name, lidar, footprint, config, consented_m) for name, lidar in sensors.lidar.items()
+            LidarSource(name, lidar, footprint, config, consented_m, name in ground)
+            for name, lidar in sensors.lidar.items()
         )
         self.radars = tuple(RadarSource(n, one, height, field.mask_m, config.radar) for n, one in sensors.radar.items())
         self.ultrasonics = tuple(UltrasonicSource(n, one, ultrasonic) for n, one in sensors.ultrasonic.items())

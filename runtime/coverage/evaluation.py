@@ -18,7 +18,7 @@ from runtime.coverage.kernels import count_returns, mark_reached
 from runtime.coverage.rays import free_range_m, rays_of, solids_of
 from runtime.coverage.states import DriveState
 from safety.config import SafetyConfig
-from safety.sources.near_field import near_box
+from safety.sources.near_field import ground_lidars, near_box
 from safety.stopping_distance import stopping_distance
 from safety.zones.footprint import Footprint, carriers, footprint_of
 from safety.zones.swept_area import arc_poses
@@ -97,7 +97,11 @@ def evaluate(
         key = state.is_raised, state.is_folded
         if key not in seen:
             solids = solids_of(vehicle, implement, *key)
-            rays = [(one, rays_of(one, float(state.is_raised))) for one in vehicle.sensors.lidar.values()]
+            ground = ground_lidars(vehicle.sensors.lidar, footprints[key[1]])
+            rays = [
+                (one, rays_of(one, float(state.is_raised)), name in ground)
+                for name, one in vehicle.sensors.lidar.items()
+            ]
             seen[key] = covered(rays, solids, footprints[key[1]], places, safety, config)
         reached = reached_places(footprints[state.is_folded], state, stop_m, places, config)
         slowest_s = max((1.0 / one.rate_hz for one in vehicle.sensors.lidar.values()), default=math.inf)
@@ -109,7 +113,7 @@ def evaluate(
 
 
 def covered(
-    lidars: Iterable[tuple[Lidar, Float64]], solids: Float64, footprint: Footprint, places: Places,
+    lidars: Iterable[tuple[Lidar, Float64, bool]], solids: Float64, footprint: Footprint, places: Places,
     safety: SafetyConfig, config: CoverageConfig,
 ) -> Bool:  # fmt: skip
     """Whether a body of each height at each place gives enough returns of one of the lidars with their rays, (H, X, Y).
@@ -120,8 +124,8 @@ def covered(
     heights = np.array(config.heights_m)
     own = _own(footprint, field.mask_m)
     enough = np.zeros((len(heights), len(places.x_m), len(places.y_m)), bool)
-    for lidar, rays in lidars:
-        low_m = counted_from_m(lidar, footprint, places, safety)
+    for lidar, rays, measures_ground in lidars:
+        low_m = counted_from_m(measures_ground, footprint, places, safety)
         reach = np.column_stack([np.full(len(rays), lidar.range_m[0]), free_range_m(rays, solids)])
         reach[:, 1] = np.minimum(reach[:, 1], lidar.range_m[1])
         counts = np.zeros(enough.shape, np.int64)
@@ -133,12 +137,12 @@ def covered(
     return enough
 
 
-def counted_from_m(lidar: Lidar, footprint: Footprint, places: Places, safety: SafetyConfig) -> Float64:
+def counted_from_m(measures_ground: bool, footprint: Footprint, places: Places, safety: SafetyConfig) -> Float64:
     """Height (X, Y) from which the supervisor counts a return of a lidar over smooth ground."""
     field, near = safety.field, safety.near_field
     x, y = np.meshgrid(places.x_m, places.y_m, indexing="ij")
     low_m = field.min_height_m + field.min_height_slope * np.hypot(x, y)
-    if not lidar.looks_down:
+    if not measures_ground:
         return low_m
     box = near_box(footprint, near)
     is_near = box.contains(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)

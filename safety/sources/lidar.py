@@ -10,6 +10,7 @@ from configs.vehicle import Lidar
 from geometry.arrays import Bool, Float32, Float64, Int64
 from geometry.ground_surface import (
     above_cells,
+    broad_tops,
     cells_in_grid,
     envelope,
     heights_above_ground,
@@ -76,12 +77,14 @@ class LidarSource:
     `footprint` is that of the self mask, set on a change of fold position; `hitch` moves a lidar on the implement.
     `consented_m`: height of plants up to which the mission consents to objects that they hide; `vegetation_m` is that
     of the plants around, `floor_m` the least height above rough ground that counts. `ground` is that near the lidar;
-    `has_other_rings`: the last range image is not one of the configured lidar.
+    `has_other_rings`: the last range image is not one of the configured lidar. A lidar that looks down or
+    `measures_ground` detects low objects in the near field.
     """
 
     def __init__(
-        self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig, consented_m: float = 0.0
-    ) -> None:
+        self, name: str, lidar: Lidar, footprint: Footprint, config: SafetyConfig, consented_m: float = 0.0,
+        measures_ground: bool = False,
+    ) -> None:  # fmt: skip
         self.name = name
         self.stamp_ns: int | None = None
         self.scan: LidarScan | None = None
@@ -96,6 +99,7 @@ class LidarSource:
         self._on_slopes = config.near_field.model_copy(update={"min_height_m": least_m})
         self.hitch, self._mount = 1.0, lidar.mount
         self._looks_down = lidar.looks_down
+        self._measures_ground = measures_ground or lidar.looks_down
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
@@ -156,9 +160,9 @@ class LidarSource:
         agreement, origin = self._config.lidar_agreement, self._T_base_sensor[:3, 3]
         self.ground = ground_heights(down, origin, agreement.range_m, pose_odom, agreement.cell_m)
         field = self._config.field
-        needs_near_field = self._looks_down or self._consented_m > 0.0
+        needs_near_field = self._measures_ground or self._consented_m > 0.0
         near_field = near_box(self.footprint, self._config.near_field) if needs_near_field else None
-        area = box if near_field is None or not self._looks_down else enclosing(box, near_field)
+        area = box if near_field is None or not self._measures_ground else enclosing(box, near_field)
         top_m = self.footprint.height_m + field.overhead_margin_m
         near = crop(xyz, area.enlarged(BEYOND_EDGE_M), top_m)
         is_machine = is_own(xyz.take(near, axis=1), self.footprint, curvature_radpm, field.mask_m)
@@ -210,7 +214,7 @@ class LidarSource:
         plants = config.vegetation, self._consented_m
         near = mark_low_obstacles(xyz, near_field, config.near_field, *plants)
         is_high &= ~near.is_plant
-        if not self._looks_down:
+        if not self._measures_ground:
             return is_high, is_high, none
         self.vegetation_m, self.floor_m = near.vegetation_m, near.min_height_m
         is_low, is_dense, is_hidden = near.is_obstacle, near.is_dense, is_above_plane & ~is_high
@@ -395,6 +399,7 @@ def warm(T_base_sensor: Float64) -> None:
     zero = np.zeros(1)
     stand_out_of_cell(xyz, zero, np.zeros(shape), corner, 1.0, zero, zero, 0.0, (0.0, 0.0), 1, 0.0)
     typical_of_blocks(np.zeros(shape), 1, 0.5, 1)
+    broad_tops(np.zeros(shape))
     plane_sums(np.zeros(shape), np.ones(shape, bool), 1)
     cell = cells_in_grid(xyz, corner, shape, 1.0)
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))

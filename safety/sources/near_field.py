@@ -2,21 +2,23 @@
 
 The ground filter counts from 0.25 m above a plane through the wheels, because the ground itself reaches that height
 farther away. Lidars that look down have enough returns near the machine to measure the ground in cells of 0.5 m: one
-counts there from 0.12 m above it, or from what the roughness of the ground requires if that is more: less where many
-returns of its cell are so high, and never if only a few are: noise on single plants. Others have their first ring
-metres away, and reflections there lie below the ground.
+counts there from 0.12 m above it, or from what the roughness of the ground about it requires if that is more: less
+where many returns of its cell are so high, and never if only a few are: noise on single plants. Others, with their
+first ring metres away, do so where no lidar that looks down covers.
 
 Plants cover many cells and are about as high in each: what does not stand out of them is no obstacle where the mission
 consents to plants of that height.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
+from configs.vehicle import Lidar
 from geometry.arrays import Float32, Float64, quantile
 from geometry.ground_surface import (
+    broad_tops,
     cells_in_grid,
     heights_above_ground,
     plant_heights,
@@ -24,6 +26,7 @@ from geometry.ground_surface import (
     typical_of_blocks,
 )
 from safety.config import NearFieldConfig, VegetationConfig
+from safety.sources.detection_range import covers
 from safety.sources.ground_filter import WHEELS_X_M
 from safety.zones.footprint import Box, Footprint
 
@@ -101,16 +104,6 @@ def mark_low_obstacles(
     return NearField(is_obstacle, is_dense, is_plant, min_height_m, even_m)
 
 
-def broad_tops(tops_m: Float64) -> Float64:
-    """Height of what is broader than a body that lies about each cell (R, C) with the tops: their opening by 3 cells.
-
-    The residue of waves of the ground rises from cell to cell; a body, less than a cell wide, at once.
-    """
-    low_m = minimum_filter(tops_m, 3, mode="nearest")
-    broad_m = maximum_filter(np.where(np.isfinite(low_m), low_m, -np.inf), 3, mode="nearest")
-    return np.asarray(np.maximum(broad_m, 0.0))
-
-
 def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, consented_m: float) -> Float64:
     """Height of the plants about each cell (R, C), from the tops of cells; 0 where there are none or too high ones.
 
@@ -136,6 +129,15 @@ def even_plants_m(tops_m: Float64, near_top_z_m: Float64, config: VegetationConf
             low_m, surface_m = (quantile_of(near_top_z_m, share) for share in (0.25, 1.0 - config.share))
             height_m = max(height_m, surface_m if low_m >= 0.5 * surface_m else 0.0)  # else a slope
     return height_m if config.min_height_m < height_m <= config.max_height_m else 0.0
+
+
+def ground_lidars(lidars: Mapping[str, Lidar], footprint: Footprint) -> frozenset[str]:
+    """Names of the lidars that detect low objects: those that look down, and others where none of these covers."""
+    down = {d for one in lidars.values() if one.looks_down for d in (1, -1) if covers(one, footprint, d)}
+    return frozenset(
+        name for name, one in lidars.items()
+        if one.looks_down or any(covers(one, footprint, d) for d in {1, -1} - down)
+    )  # fmt: skip
 
 
 def near_box(footprint: Footprint, config: NearFieldConfig) -> Box:

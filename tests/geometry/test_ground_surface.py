@@ -7,6 +7,7 @@ import pytest
 
 from geometry.ground_surface import (
     above_cells,
+    broad_tops,
     cells_in_grid,
     envelope,
     heights_above_ground,
@@ -196,6 +197,17 @@ def test_typical_of_blocks_ignores_few_blocks_and_follows_many() -> None:
     none = np.full((2, 2), np.inf)
     none[0, 0] = 0.1
     assert np.isinf(typical_of_blocks(none, 2, 0.95, 2)).all()
+
+
+def test_broad_tops_are_those_of_three_cells_and_more() -> None:
+    """A block of 3 by 3 cells stays, a strip of two cells does not, and cells without tops do not count."""
+    tops = np.full((9, 12), 0.02)
+    tops[1:4, 1:4], tops[:, 7:9], tops[6:, :3] = 0.2, 0.3, np.inf
+    broad = broad_tops(tops)
+    assert (broad[1:4, 1:4] == 0.2).all()
+    assert (broad[:, 5:] == 0.02).all()
+    assert broad.max() == 0.2
+    assert (broad_tops(np.full((2, 2), np.inf)) == 0.0).all()
 
 
 def test_lowest_of_each_cell_is_the_first_of_equal_ones() -> None:

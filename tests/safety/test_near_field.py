@@ -9,11 +9,11 @@ from geometry.rectangle import Rectangle
 from messages.sensors import LidarScan
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
-from safety.sources.near_field import NearField, mark_low_obstacles, near_box
+from safety.sources.near_field import NearField, ground_lidars, mark_low_obstacles, near_box
 from safety.supervisor_config import SupervisorConfig
 from safety.zones.footprint import Box, Footprint, enclosing, footprints_of
 from tests.clause import clause
-from tests.safety.safety_world import NO_BYTES, START_NS
+from tests.safety.safety_world import NO_BYTES, START_NS, tractor
 
 AREA = Box((3.5, 11.0), (-4.0, 4.0))
 
@@ -208,21 +208,38 @@ def test_enclosing() -> None:
     assert enclosing(Box((0.0, 5.0), (-2.0, 1.0)), Box((-1.0, 4.0), (-1.0, 3.0))) == Box((-1.0, 5.0), (-2.0, 3.0))
 
 
-def test_only_lidars_that_look_down_measure_the_ground(config: SupervisorConfig, vehicle: Vehicle) -> None:
-    """A body of 0.2 m before the machine, in two scans of the same beams."""
-    mount = Mount(xyz_m=(3.0, 0.0, 2.0))
-    down = vehicle.sensors.lidar["front"].model_copy(update={"mount": mount, "elevation_deg": [-40.0, -10.0]})
+@clause("BD-5.2.4", rule="protective_field")
+@pytest.mark.parametrize(
+    ("highest_deg", "measures_ground", "sees"), [(-10.0, False, True), (5.0, False, False), (5.0, True, True)]
+)
+def test_a_lidar_that_measures_the_ground_sees_who_lies(
+    config: SupervisorConfig, vehicle: Vehicle, highest_deg: float, measures_ground: bool, sees: bool
+) -> None:
+    """A body of 0.2 m before the machine, in two scans of the same beams; a lidar that looks down always does."""
+    lidar = vehicle.sensors.lidar["front"].model_copy(
+        update={"mount": Mount(xyz_m=(3.0, 0.0, 2.0)), "elevation_deg": [-40.0, highest_deg]}
+    )
     footprint = footprints_of(vehicle, None).working
     xyz = field_of(np.random.default_rng(4), 0.002)
-    is_body = put_body(xyz, 0.2, (0.5, 1.7))
+    count = put_body(xyz, 0.2, (0.5, 1.7)).sum() * sees
     points_m = np.ascontiguousarray((xyz - np.array([[3.0], [0.0], [2.0]])).T, np.float32)
-    for lidar, count in ((down, is_body.sum()), (down.model_copy(update={"elevation_deg": [-40.0, 5.0]}), 0)):
-        source = LidarSource("low", lidar, footprint, config)
-        for k in range(2):
-            stamp_ns, none = START_NS + k * 100_000_000, np.empty(0)
-            scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
-            source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
-        assert len(source.hits_odom_m) == pytest.approx(count, abs=0.1 * count)
+    source = LidarSource("low", lidar, footprint, config, measures_ground=measures_ground)
+    for k in range(2):
+        stamp_ns, none = START_NS + k * 100_000_000, np.empty(0)
+        scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
+        source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
+    assert len(source.hits_odom_m) == pytest.approx(count, abs=0.2 * count)
+
+
+def test_lidars_that_do_not_look_down_measure_the_ground_where_no_other_does(
+    vehicle: Vehicle, implement: MountedImplement
+) -> None:
+    footprint = footprints_of(vehicle, implement).working
+    upright = vehicle.sensors.lidar
+    dome = tractor("front_left").sensors.lidar
+    assert ground_lidars(upright, footprint) == {"front", "rear"}
+    assert ground_lidars(upright | dome, footprint) == {"front_left", "rear"}
+    assert ground_lidars({}, footprint) == set()
 
 
 @clause("BD-5.2.4", rule="vegetation")
