@@ -219,7 +219,7 @@ class LidarSource:
         self.vegetation_m, self.floor_m = near.vegetation_m, near.min_height_m
         is_low, is_dense, is_hidden = near.is_obstacle, near.is_dense, is_above_plane & ~is_high
         if near.min_height_m > config.field.min_height_m:
-            is_hidden[:] = True  # on such ground the near field misses what the plane may not reach
+            is_hidden |= near.is_hidden  # on such ground the near field misses what the plane may not reach
         if is_hidden.any():
             level_xyz = level(xyz, area, config.near_field.ground_quantile, config.measured_ground)
             level_near = mark_low_obstacles(level_xyz, near_field, self._on_slopes, *plants)

@@ -39,14 +39,15 @@ class NearField:
     """Returns that stand out of the ground.
 
     `is_obstacle` (N,) bool: above the ground and no plant; `is_plant` (N,) bool: within plants that the mission
-    consents to. `is_dense` (N,) bool: obstacle only because many returns of its cell are so high. `min_height_m`: least
-    height that counts on ground as rough as most of it; it is less where the ground about is smoother. `vegetation_m`:
-    height of the plants that cover most of the ground.
+    consents to. `is_dense` (N,) bool: obstacle only because many returns of its cell are so high. `is_hidden` (N,)
+    bool: higher than counts on smooth ground, but not than on the ground about. `min_height_m`: least height that
+    counts on ground as rough as most of it. `vegetation_m`: height of the plants that cover most of the ground.
     """
 
     is_obstacle: np.ndarray
     is_dense: np.ndarray
     is_plant: np.ndarray
+    is_hidden: np.ndarray
     min_height_m: float
     vegetation_m: float
 
@@ -60,9 +61,9 @@ def mark_low_obstacles(
     """
     (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
     inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
-    is_obstacle, is_dense, is_plant = np.zeros((3, xyz.shape[1]), bool)
+    is_obstacle, is_dense, is_plant, is_hidden = np.zeros((4, xyz.shape[1]), bool)
     if len(inside) == 0:
-        return NearField(is_obstacle, is_dense, is_plant, config.min_height_m, 0.0)
+        return NearField(is_obstacle, is_dense, is_plant, is_hidden, config.min_height_m, 0.0)
     near_xyz = xyz.take(inside, axis=1)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
     height_m, (top_z_m, tops_m, ground_tops_m) = heights_above_ground(
@@ -101,7 +102,8 @@ def mark_low_obstacles(
         is_dense[inside] = is_obstacle[inside] & (height_m <= least_m)
     else:
         is_obstacle[inside] = height_m > least_m
-    return NearField(is_obstacle, is_dense, is_plant, min_height_m, even_m)
+    is_hidden[inside] = (height_m > config.min_height_m) & (height_m <= least_m)
+    return NearField(is_obstacle, is_dense, is_plant, is_hidden, min_height_m, even_m)
 
 
 def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, consented_m: float) -> Float64:
