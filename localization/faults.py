@@ -21,6 +21,7 @@ FAULTS = {
         FaultType("gnss.refused", *WARNING, "GNSS positions rejected", "卫星定位数据被拒绝"),
         FaultType("gnss.contradicts_velocity", *ALARM, "GNSS contradicts its own velocity", "卫星位置与速度矛盾"),
         FaultType("gnss.contradicts_odometry", *ALARM, "GNSS contradicts wheels and IMU", "卫星定位与车轮和惯导矛盾"),
+        FaultType("gnss.velocity_refused", *WARNING, "GNSS velocity contradicts its positions", "卫星速度与位置矛盾"),
         FaultType("gnss.heading_refused", *ALARM, "GNSS heading contradicts the gyro", "卫星定向与陀螺仪矛盾"),
         FaultType("wheel.slipping", *WARNING, "Wheels slip, or GNSS is spoofed", "车轮打滑或卫星信号被欺骗"),
         FaultType("gnss.no_heading", *STOP, "No GNSS heading: start needs motion", "无卫星航向:启动需要移动"),

@@ -80,6 +80,7 @@ class RejectionReason(StrEnum):
     CONFIRMATION = "first fixes after an outage must agree"
     OUTLIER = "contradicts the prediction"
     SUSPECTED = "has contradicted what is independent of it, and not yet agreed with it again"
+    REPEATED = "equal to the last one while the machine moves"
     STAMP = "stamp too far from the time of arrival"
     LATE = "not newer than the last one, or from before a gap"
     BEFORE_START = "before the first position, or while it was lost"
@@ -133,7 +134,16 @@ def is_sane(fix: GnssFix) -> bool:
     position = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
     on_earth = abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e4
     sigmas = fix.sigma_enu_m.shape == (3,) and not np.any((fix.sigma_enu_m < 0.0) | np.isinf(fix.sigma_enu_m))
-    return all(map(math.isfinite, position)) and on_earth and sigmas
+    is_known = fix.latitude_rad != 0.0 or fix.longitude_rad != 0.0  # zeros are what receivers state without a position
+    return all(map(math.isfinite, position)) and on_earth and sigmas and is_known
+
+
+def repeats(fix: GnssFix, last: GnssFix) -> bool:
+    """Whether position, velocity and heading are those of an older fix to the bit: held by receiver or driver."""
+    now, then = (
+        [f.latitude_rad, f.longitude_rad, f.height_m, f.heading_rad, *f.velocity_enu_mps.tolist()] for f in (fix, last)
+    )
+    return fix.stamp_ns > last.stamp_ns and np.array_equal(now, then, equal_nan=True)
 
 
 def check(fix: GnssFix, config: GnssConfig) -> RejectionReason:

@@ -4,6 +4,7 @@ Hypotheses of one fault at a time, each with the sigmas that its prior leaves of
 
     wrong fix or multipath:  the position is wrong, the Doppler velocity right    1e-2 / h
     spoofing:                position and velocity are wrong and agree             1e-4 / h
+    wrong velocity:          the Doppler velocity is wrong, positions are right    1e-3 / h
     wrong ambiguities:       at the return of fixed ones                           1e-3 each
     stamps:                  all fixes are late or early                           present for good
 
@@ -51,6 +52,9 @@ class GnssMonitorConfig(Config):
     return_sigmas: float = Field(ge=0.0, le=10.0, description="of the bound at the return")
     seen_sigmas: float = Field(gt=0.0, le=10.0, description="separations above may be the begin of an error")
     hold_s: float = Field(ge=0.0, le=600.0, description="longest multipath: for which those bounds are held")
+    vote_sigmas: float = Field(
+        gt=0.0, le=10.0, description="by which odometry is nearer to positions: velocity is wrong"
+    )
 
 
 ByWindow = dict[WindowConfig, Separation]
@@ -79,6 +83,7 @@ class GnssMonitor:
         self._held: deque[tuple[int, float]] = deque()  # time and bound
         self._level_m = self._carried_m = 0.0
         self._carried_ns: int | None = None  # first fix after an interruption
+        self._velocity_wrong_ns: int | None = None
         self.suspicion = ""
         self.detail = ""
         self.is_slipping = False
@@ -101,7 +106,13 @@ class GnssMonitor:
 
     def add(self, fix: Position, swing: Swing) -> None:
         """Takes every fix that passed the checks of form, whether or not it is used."""
-        self._velocity.add(fix, swing)
+        if not self.is_velocity_wrong(fix.stamp_ns):
+            self._velocity.add(fix, swing)
+
+    def is_velocity_wrong(self, stamp_ns: int) -> bool:
+        """Whether the receiver's velocity is not used: positions and odometry have contradicted it."""
+        wrong_ns = self._velocity_wrong_ns
+        return wrong_ns is not None and 0 <= stamp_ns - wrong_ns <= self._config.hold_s * 1e9
 
     def level_m(self, stamp_ns: int) -> float:
         """Largest error by the hypotheses of wrong positions, in addition to that of the fault-free case."""
@@ -118,14 +129,14 @@ class GnssMonitor:
     def add_fixed(self, stamp_ns: int, bound_m: float) -> None:
         """Takes a fix with fixed ambiguities, and the bound of its error by the position before it.
 
-        After a time without them they are wrong once in a thousand: the bound is held, or that by odometry.
+        After a time without them they are wrong once in a thousand: the bound is held, or that by velocity or odometry.
         """
         since_ns, self._fixed_ns = self._fixed_ns, stamp_ns
         if since_ns is None or stamp_ns - since_ns <= self._config.return_s * 1e9:
             return
-        found = [self.odometry.since(since_ns), self.odometry.by_lidar_since(since_ns)]
-        by_odometry = [s.bound_m(self._config.return_sigmas) for s in found if s is not None]
-        self._hold(stamp_ns, min([bound_m, *by_odometry]))
+        paths = (self._velocity.since, self.odometry.since, self.odometry.by_lidar_since)
+        found = [s.bound_m(self._config.return_sigmas) for path in paths if (s := path(since_ns)) is not None]
+        self._hold(stamp_ns, min([bound_m, *found]))
 
     def evaluate(self, stamp_ns: int, is_outlier: bool, apart: Separation) -> Finding | None:
         """Evaluates the newest fix; the finding that begins a suspicion.
@@ -138,11 +149,13 @@ class GnssMonitor:
         elif stamp_ns - self._carried_ns > self._config.hold_s * 1e9:
             self._carried_m = 0.0
         self._refused = self._refused + 1 if is_outlier else 0
+        velocity = self._by_window(self._velocity.since, stamp_ns)
+        odometry = self._by_window(self.odometry.since, stamp_ns)
+        if self._judge_velocity(stamp_ns, [(s, odometry[w]) for w, s in velocity.items() if w in odometry]):
+            velocity = {}
         if self.suspicion:
             self._follow(stamp_ns, apart)
             return None
-        velocity = self._by_window(self._velocity.since, stamp_ns)
-        odometry = self._by_window(self.odometry.since, stamp_ns)
         cfg = self._config
         lidar = {
             w: s for w, s in self._by_window(self.odometry.by_lidar_since, stamp_ns).items()
@@ -154,6 +167,24 @@ class GnssMonitor:
     def _by_window(self, since: Callable[[int], Separation | None], stamp_ns: int) -> ByWindow:
         found = {w: since(stamp_ns - round(w.window_s * 1e9)) for w in self._config.windows}
         return {w: separation for w, separation in found.items() if separation is not None}
+
+    def _judge_velocity(self, stamp_ns: int, pairs: list[tuple[Separation, Separation]]) -> bool:
+        """Whether the velocity is wrong: odometry agrees with the positions, or contradicts both by more than slip."""
+        cfg = self._config
+        for velocity, odometry in pairs:
+            beside_m = odometry.d_m - velocity.d_m  # of a position by the velocity, from odometry
+            by_velocity, by_positions = replace(odometry, d_m=beside_m).ratio, odometry.ratio
+            is_outvoted = by_velocity**2 - by_positions**2 > cfg.vote_sigmas**2
+            if velocity.ratio > cfg.detect_sigmas and by_positions <= cfg.seen_sigmas and is_outvoted:
+                self._velocity.clear()
+                self._velocity_wrong_ns = stamp_ns
+                if self.suspicion == VELOCITY:
+                    self._end_suspicion(stamp_ns, odometry)
+                return True
+            between = replace(velocity, d_m=beside_m, covariance=velocity.covariance + odometry.covariance)
+            if self.suspicion == VELOCITY and between.ratio_beside_slip([odometry.wheel_m]) > cfg.detect_sigmas:
+                self.suspicion = ODOMETRY
+        return False
 
     def _bound_m(self, stamp_ns: int, velocity: ByWindow, odometry: ByWindow, lidar: ByWindow) -> float:
         bounds_m = [0.0]
@@ -244,6 +275,10 @@ class GnssMonitor:
         elif stamp_ns - self._agreed_ns >= cfg.agree_s * 1e9:
             self.clear()
             self._hold(stamp_ns, reference.bound_m(cfg.return_sigmas))
+
+    def _end_suspicion(self, stamp_ns: int, reference: Separation) -> None:
+        self.suspicion, self.anchor_ns, self._agreed_ns, self._level_m = "", None, None, 0.0
+        self._hold(stamp_ns, reference.bound_m(self._config.return_sigmas))
 
     def _agrees(self, reference: Separation) -> bool:
         distance_m = float(np.linalg.norm(reference.d_m))

@@ -15,7 +15,7 @@ from localization.dead_reckoning.plausibility import CODES
 from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.faults import FAULTS
-from localization.gnss_gate import RejectionReason, check, position_of
+from localization.gnss_gate import RejectionReason, check, position_of, repeats
 from localization.gnss_monitor import ODOMETRY, VELOCITY
 from localization.graph.imu_preintegration import bias_sigmas
 from localization.graph.keyframes import KeyframeBuilder
@@ -89,6 +89,7 @@ class Localizer(Node):
         self._now_ns: int | None = None
         self._first_ns = 0  # silence before the first sample counts from here
         self._gnss_ns: int | None = None
+        self._last_fix: GnssFix | None = None
         self._lidar_odometry_ns: int | None = None
         self._lidar_localization_ns: int | None = None
         self._pose_ns: int | None = None
@@ -171,6 +172,8 @@ class Localizer(Node):
 
     def _add_imu(self, sample: ImuSample) -> bool:
         track = self._odometry.track
+        if not track.is_valid(sample):
+            return False  # a gap lasts until the next valid one
         if len(track) and sample.stamp_ns - track.last_ns > self._config.odometry.imu.max_gap_s * 1e9:
             self._clear_samples((sample.stamp_ns - track.last_ns) * 1e-9)
         return self._odometry.add_imu(sample)
@@ -182,13 +185,19 @@ class Localizer(Node):
         config = self._config.map_alignment.gnss
         is_timely = self.is_timely(fix.stamp_ns, now_ns)
         reason = check(fix, config) if is_timely else RejectionReason.STAMP
-        self._gnss_ns = fix.stamp_ns if is_timely else self._gnss_ns
+        last, self._last_fix = self._last_fix, fix
+        is_rolling = abs(self._odometry.speed_mps) > self._config.odometry.wheels.standstill_mps
+        if reason is RejectionReason.NONE and is_rolling and last is not None and repeats(fix, last):
+            reason = RejectionReason.REPEATED
+        elif is_timely:
+            self._gnss_ns = fix.stamp_ns
         if reason is not RejectionReason.NONE:
             self._refused[reason] += 1
             return reason not in (RejectionReason.INVALID, RejectionReason.STAMP)
         position = position_of(fix, self._datum, config, self._gnss_rate_hz)
         self._odometry.standstill.add(position)
-        speed_mps = self._ground_speed_mps(fix, position.heading_rad)
+        is_wrong = self._map_alignment.monitor.is_velocity_wrong(fix.stamp_ns)
+        speed_mps = math.nan if is_wrong else self._ground_speed_mps(fix, position.heading_rad)
         if self._has_wheels:
             self._odometry.plausibility.set_reference(fix.stamp_ns, position.heading_rad, speed_mps)
         self._map_alignment.add(position)
@@ -248,6 +257,7 @@ class Localizer(Node):
         faults.set(FAULTS["gnss.refused"], alignment.is_refusing, "contradict the prediction")
         for code in (VELOCITY, ODOMETRY):
             faults.set(FAULTS[code], alignment.monitor.suspicion == code, alignment.monitor.detail)
+        faults.set(FAULTS["gnss.velocity_refused"], alignment.monitor.is_velocity_wrong(now_ns))
         is_turned = alignment.keyframes.headings_refused >= self._config.map_alignment.gnss_monitor.refused_fixes
         faults.set(FAULTS["gnss.heading_refused"], alignment.is_initialized and is_turned)
         faults.set(FAULTS["wheel.slipping"], alignment.monitor.is_slipping)
@@ -260,15 +270,11 @@ class Localizer(Node):
         lacks_heading = not alignment.is_initialized and odometry.standstill.lacks_heading
         faults.set(FAULTS["gnss.no_heading"], lacks_heading, alignment.motion_start.awaited)
         is_moving = len(odometry.track) > 0 and odometry.standstill.since_ns is None
-        awaited = self.awaited if is_moving or self._is_vibrating else ""
+        awaited = self.awaited if is_moving or odometry.standstill.obstacle else ""
         faults.set(FAULTS["localization.awaits"], bool(awaited), awaited)
         for failure in alignment.failures:
             faults.report_event(FAULTS["localization.rebuilt"], failure)
         alignment.failures.clear()
-
-    @property
-    def _is_vibrating(self) -> bool:
-        return self._odometry.standstill.is_vibrating
 
     @property
     def awaited(self) -> str:
@@ -278,8 +284,8 @@ class Localizer(Node):
             return ""
         if not len(self._odometry.track):
             return "IMU samples"
-        if self._is_vibrating and not alignment.motion_start.awaited:
-            return "less vibration, which hides the tilt"
+        if standstill.obstacle and not alignment.motion_start.awaited:
+            return standstill.obstacle
         if self._gnss_ns is None:
             return "GNSS fixes"
         is_waiting = standstill.since_ns is not None and standstill.position() is None and not standstill.lacks_heading

@@ -492,6 +492,7 @@ class MapAlignment:
         covariance = self._covariance(state, T, stamp_ns, source)
         accuracy_m, level_m = accuracy_and_level(covariance, T, source, self._config.integrity)
         self._accuracy_m = accuracy_m
+        level_m += self._wrong_speed_mps(state, stamp_ns) * max(0, stamp_ns - state.stamp_ns) * 1e-9
         if source in BY_GNSS:
             level_m += self._config.gnss.stamp_s * abs(self._odometry.speed_mps)
         elif source is PositionSource.DEAD_RECKONING:  # from a place that the stamps had shifted
@@ -508,6 +509,15 @@ class MapAlignment:
         return MapPose(
             stamp_ns, self._T_map_odom.copy(), T, covariance, source, level_m, age_s, True, uwb_age_s, accuracy_m
         )
+
+    def _wrong_speed_mps(self, state: State, stamp_ns: int) -> float:
+        """By how much the wheels, which give the path since the keyframe, contradict the IMU.
+
+        Without fixes before a keyframe knows of it.
+        """
+        by_graph_mps = abs(self._forward_mps(state) - self._odometry.speed_mps) if self.keyframes.is_slipping else 0.0
+        has_fixes = stamp_ns - self._accepted_ns <= self._config.smoother.wait_s * 1e9
+        return by_graph_mps if has_fixes else max(by_graph_mps, self._odometry.plausibility.speed.contradiction)
 
     def _refused_m(self, stamp_ns: int) -> float:
         """Distance of a refused fix, growing as errors of heading and tilt do since the last accepted one."""

@@ -65,7 +65,7 @@ class OdometryEstimator:
         return forward_mps / speed_mps + float(calibration.slip[2] * self.track.at(stamp_ns)[6])
 
     def add_imu(self, sample: ImuSample) -> bool:
-        """Takes a sample; False when it was dropped."""
+        """Takes a valid sample; False when it was dropped."""
         if not self.track.add(sample):
             return False
         self.plausibility.imu.add(sample.stamp_ns, self.track.last[:6])

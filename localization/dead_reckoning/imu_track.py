@@ -84,16 +84,18 @@ class ImuTrack:
         self._stamps.clear()
         self._values.clear()
 
-    def add(self, sample: ImuSample) -> bool:
-        """Takes a sample; False when it is out of order, not finite or out of range."""
+    def is_valid(self, sample: ImuSample) -> bool:
+        """Whether a sample is finite and in range."""
         if sample.acceleration_mps2.shape != (3,) or sample.rate_radps.shape != (3,):
             return False
         value = np.concatenate([sample.acceleration_mps2, sample.rate_radps])
-        if not bool((np.abs(value) <= self._limit).all()):  # NaN compares false
-            return False
+        return bool((np.abs(value) <= self._limit).all())  # NaN compares false
+
+    def add(self, sample: ImuSample) -> bool:
+        """Takes a valid sample; False when it is out of order."""
         if self._stamps and sample.stamp_ns <= self._stamps[-1]:
             return False
-        rotated = self._rotation @ value
+        rotated = self._rotation @ np.concatenate([sample.acceleration_mps2, sample.rate_radps])
         self._smooth(rotated[:2] / STANDARD_GRAVITY_MPS2, sample.stamp_ns)
         self._stamps.append(sample.stamp_ns)
         self._values.append(np.concatenate([rotated, self._tyre_force]))

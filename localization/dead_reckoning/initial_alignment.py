@@ -22,6 +22,7 @@ class InitialAlignmentConfig(Config):
     max_noise_mps2: float = Field(gt=0.0, le=10.0, description="standard deviation of the specific force")
     vibration_s: float = Field(gt=0.0, le=1.0, description="time in which the vibration is correlated")
     fixes: int = Field(ge=2, le=200)
+    max_tilt_deg: float = Field(gt=0.0, le=90.0, description="no machine works beyond: mount of the IMU")
     tilt_sigma_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
     velocity_sigma_mps: float = Field(gt=0.0, le=1.0)
@@ -58,6 +59,14 @@ def tilt_from_gravity(specific_force_mps2: Float64, rate_radps: Float64) -> Tilt
     )
 
 
+def excess_tilt(up: float, limit_deg: float) -> str:
+    """What is awaited of a tilt, by the share `up` of the vertical along the z axis; "" for one below the limit."""
+    tilt_deg = math.degrees(math.acos(min(1.0, max(-1.0, up))))
+    return (
+        "" if tilt_deg <= limit_deg else f"a tilt below {limit_deg:.0f} deg, is {tilt_deg:.0f} deg (mount of the IMU?)"
+    )
+
+
 def mean_position(positions: list[Position]) -> InitialPosition | None:
     """Mean of fixes at standstill; None when most have no heading or when they are inconsistent."""
     headings = [p.heading_rad for p in positions if math.isfinite(p.heading_rad)]
@@ -82,12 +91,12 @@ def initial_pose(tilt: TiltEstimate, position: InitialPosition, arm_m: Float64) 
 
 
 class Standstill:
-    """Duration of the present standstill, its fixes, and whether vibration hides the tilt."""
+    """Duration of the present standstill, its fixes, and `obstacle`: what hides the tilt, "" when nothing does."""
 
     def __init__(self, config: InitialAlignmentConfig) -> None:
         self._config = config
         self.since_ns: int | None = None
-        self.is_vibrating = False
+        self.obstacle = ""
         self._positions: list[Position] = []
 
     def reset(self) -> None:
@@ -110,17 +119,21 @@ class Standstill:
         self._positions = [*same, position][-self._config.fixes :]
 
     def tilt(self, track: ImuTrack) -> TiltEstimate | None:
-        """Tilt and bias after a standstill of the window; None before, or with too much vibration."""
-        self.is_vibrating = False
+        """Tilt and bias after a standstill of the window; None before, or where something hides the tilt."""
+        self.obstacle = ""
         cfg, end, window_ns = self._config, track.last_ns, int(self._config.window_s * 1e9)
         if self.since_ns is None or end - max(self.since_ns, track.first_ns) < window_ns:
             return None
         steps = track.between(end - window_ns, end)
         noise_mps2 = float(np.max(np.std(steps.acceleration_mps2, axis=0)))
-        self.is_vibrating = noise_mps2 > cfg.max_noise_mps2
-        if self.is_vibrating:
+        if noise_mps2 > cfg.max_noise_mps2:
+            self.obstacle = "less vibration, which hides the tilt"
             return None
-        found = tilt_from_gravity(steps.acceleration_mps2.mean(axis=0), steps.rate_radps.mean(axis=0))
+        mean_mps2 = steps.acceleration_mps2.mean(axis=0)
+        found = tilt_from_gravity(mean_mps2, steps.rate_radps.mean(axis=0))
+        self.obstacle = excess_tilt(float(mean_mps2[2]) / found.gravity_mps2, cfg.max_tilt_deg)
+        if self.obstacle:
+            return None
         sigma_mps2 = noise_mps2 * math.sqrt(min(1.0, cfg.vibration_s / cfg.window_s))
         return replace(found, sigma_rad=sigma_mps2 / found.gravity_mps2)
 

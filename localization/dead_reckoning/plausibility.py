@@ -166,6 +166,12 @@ class CrossCheck:
         limit = cfg.floor + cfg.per_change * change + cfg.per_m * (path - path0) + cfg.per_noise * self._noise
         return abs((a - a0) - (b - b0)), limit
 
+    @property
+    def contradiction(self) -> float:
+        """Difference of the two over the window where it is above its limit, else zero."""
+        error, limit = self.margin() if self._rows else (0.0, 0.0)
+        return error if error > limit else 0.0
+
     def suspect(self) -> Suspect | None:
         """Sensor at fault, once the contradiction has lasted for the debounce time."""
         if self._since_ns is None or self._stamps[-1] - self._since_ns < self._debounce_ns:

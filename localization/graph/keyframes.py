@@ -160,7 +160,7 @@ class KeyframeBuilder:
         density = np.array([along, wheels.lateral_m_per_rts, wheels.vertical_m_per_rts])
         model = Model(
             arms.antenna_m, arms.base_m, density, self.slip, self._slip_sigma, wheels.walk, wheels.standstill_rad,
-            wheels.standstill_m, wheels.sideslip_mps,
+            wheels.standstill_m, wheels.sideslip_mps, self._initial_alignment.max_tilt_deg,
         )  # fmt: skip
         window = MotionWindow(
             imu_parameters(imu, imu_track, self._gravity), self._accelerometer_density, wheels.standstill_mps,
@@ -335,12 +335,9 @@ class KeyframeBuilder:
             return []
         speed = wheels.speed_at(steps.middle_ns, last.stamp_ns)
         self.columns = columns = displacement_columns(steps, speed, last.bias[3:])
-        is_standstill = float(np.max(np.abs(speed))) < cfg.standstill_mps
         along = math.hypot(self._wheel_density, cfg.longitudinal_m_per_rts)
         density = np.array([along, cfg.lateral_m_per_rts, cfg.vertical_m_per_rts])
         dt_s = (stamp_ns - last.stamp_ns) * 1e-9
-        if is_standstill:
-            return [standstill_factor(key - 1, key, *self._standstill_sigmas(steps, last.bias[3:]))]
         sigma = density * math.sqrt(dt_s)
         slip_mps, max_slip_mps = self._slip_mps(last, guess, columns, dt_s), cfg.max_slip_mps
         max_slip_mps += 3.0 * accelerometer_density * math.sqrt(dt_s)
@@ -349,6 +346,8 @@ class KeyframeBuilder:
         self.is_slipping = slip_mps > max_slip_mps
         if self.is_slipping:
             sigma[0] = slip_mps
+        elif float(np.max(np.abs(speed))) < cfg.standstill_mps:
+            return [standstill_factor(key - 1, key, *self._standstill_sigmas(steps, last.bias[3:]))]
         return [wheel_factor(key - 1, key, columns, self.lever_arms.base_m, sigma)]
 
     def _standstill_sigmas(self, steps: Steps, gyro_bias_radps: Float64) -> tuple[Float64, Float64]:

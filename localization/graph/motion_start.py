@@ -16,6 +16,7 @@ from configs.strict import Config
 from geometry.angles import wrap
 from geometry.arrays import Float64
 from geometry.transforms import transform, yaw_of
+from localization.dead_reckoning.initial_alignment import excess_tilt
 from localization.gnss_gate import Position
 from localization.graph.factors import (
     B,
@@ -74,6 +75,7 @@ class Model:
     standstill_rad: float
     standstill_m: float
     sideslip_mps: float
+    max_tilt_deg: float
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,10 @@ class MotionStart:
     def _proven(self, graph: gtsam.NonlinearFactorGraph, size: int, found: list[_Solution]) -> State | None:
         """The state of the best solution, unless another is left or its residuals or sigmas are too large."""
         cfg, best, key = self._config, found[0], len(self.window.intervals)
+        up = float(best.values.atPose3(X(key)).matrix()[2, 2])
+        self.awaited = excess_tilt(up, self._model.max_tilt_deg)
+        if self.awaited:
+            return None
         if not best.cost <= cfg.ratio * size:
             self.awaited = f"agreement of fixes, IMU and wheels: {math.sqrt(best.cost / size):.1f} sigma apart"
             return None

@@ -117,8 +117,8 @@ def test_imu_track_rejects_invalid_samples():
     assert track.add(good)
     assert not track.add(good)
     for bad in ([math.nan, 0, 9.8], [math.inf, 0, 0], [0, 0, 6.001 * 9.80665], [0.0, 0.0]):
-        assert not track.add(ImuSample(20, np.array(bad, float), np.zeros(3)))
-    assert track.add(ImuSample(20, np.array([0, 0, 5.999 * 9.80665]), np.zeros(3)))
+        assert not track.is_valid(ImuSample(20, np.array(bad, float), np.zeros(3)))
+    assert track.is_valid(ImuSample(20, np.array([0, 0, 5.999 * 9.80665]), np.zeros(3)))
 
 
 def test_imu_steps_cover_any_interval():

@@ -58,6 +58,7 @@ def test_valid_fix_passes():
         ({"sigma_enu_m": np.array([math.inf, 0.01, 0.01])}, RejectionReason.INVALID),
         ({"sigma_enu_m": np.array([-0.01, 0.01, 0.01])}, RejectionReason.INVALID),
         ({"solution": GnssSolution.NONE, "latitude_rad": NAN}, RejectionReason.NO_SOLUTION),
+        ({"latitude_rad": 0.0, "longitude_rad": 0.0}, RejectionReason.INVALID),
         ({"satellites": CONFIG.min_satellites - 1}, RejectionReason.FEW_SATELLITES),
         ({"correction_age_s": CONFIG.max_correction_age_s + 1e-6}, RejectionReason.OLD_CORRECTIONS),
     ],

@@ -6,13 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localization_faults import CASES, Case, Draw, edited, lidar_motions
+from benchmarks.localization_faults import CASES, Case, Draw, edited, lidar_motions, moved
 from benchmarks.localization_robustness import judged, measured
 from geometry.angles import wrap
 from geometry.transforms import yaw_of
 from localization.gnss_monitor import ODOMETRY, VELOCITY, GnssMonitor
 from localization.separation import Separation
 from messages.motion import PositionSource
+from messages.sensors import GnssFix, WheelSample
 from tests.localization.harness import configuration, run
 from tests.localization.synthetic_drive import START_NS, SensorErrors, drive
 
@@ -88,12 +89,54 @@ def test_slip_without_fixes_is_seen_by_the_imu():
     assert row.max_error_m < 1.5  # the wheels say 8 m
 
 
+def changed(name: str, kind: type, change) -> Case:
+    return Case(name, lambda m, s, d: change(m) if isinstance(m, kind) else m)
+
+
+def velocity_zero(fix: GnssFix) -> GnssFix:
+    return dataclasses.replace(fix, velocity_enu_mps=np.zeros(3))
+
+
+def velocity_north_east(fix: GnssFix) -> GnssFix:
+    return dataclasses.replace(fix, velocity_enu_mps=fix.velocity_enu_mps[[1, 0, 2]])
+
+
+@pytest.mark.parametrize("change", [velocity_zero, velocity_north_east])
+def test_a_velocity_that_positions_and_odometry_contradict_is_named_and_not_believed(change):
+    row, faults = driven(changed(change.__name__, GnssFix, change), 14.0, math.inf)
+    assert ("gnss.velocity_refused", True) in faults
+    assert row.misleading_s == [0.0] * 4
+    assert row.max_error_m < 0.15
+    assert row.max_excess_m < 0.0
+
+
+def test_a_velocity_that_odometry_contradicts_as_positions_do_is_not_believed_either():
+    def wrong(fix: GnssFix) -> GnssFix:
+        velocity = fix.velocity_enu_mps + np.array([0.0, 3.0, 0.0])
+        return dataclasses.replace(moved(fix, 0.0, 5.0), velocity_enu_mps=velocity)
+
+    row, faults = driven(changed("both wrong", GnssFix, wrong), 14.0, math.inf)
+    assert ("gnss.contradicts_odometry", True) in faults
+    assert row.misleading_s == [0.0] * 4
+
+
+@pytest.mark.parametrize("has_fixes", [True, False])
+def test_wheels_that_stand_while_the_imu_moves_do_not_stop_the_position(has_fixes):
+    case = changed("wheels at zero", WheelSample, lambda m: dataclasses.replace(m, speed_mps=0.0))
+    beside = () if has_fixes else (dataclasses.replace(BY_NAME["outage 5 s"], from_s=10.0, for_s=12.0),)
+    row, _ = driven(dataclasses.replace(case, beside=beside), 14.0, 6.0)
+    assert row.max_error_m < 3.0
+    assert row.misleading_s[3] == 0.0
+
+
 def test_wrong_ambiguities_after_an_outage_are_covered():
     row, _ = driven(at_once("multipath 0.3 m 60 s + outage 20 s"), 14.0, 60.0, 40.0)
     assert row.max_error_m > 0.2
     assert row.misleading_s == [0.0] * 4
     row, _ = driven("outage 5 s", 14.0, 5.0, 26.0)
     assert row.after[2] == 1.0  # fixes that the position before them confirms
+    row, _ = driven("float 30 s", 14.0, 15.0, 40.0)
+    assert row.after[3] == 1.0  # by the velocity
 
 
 @pytest.mark.parametrize("name", ["wrong fix 0.5 m 20 s + IMU gap 0.2 s", "spoofed ramp 0.3 m/s 30 s + IMU gap 0.2 s"])

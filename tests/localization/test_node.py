@@ -196,6 +196,49 @@ def test_invalid_samples_are_dropped_and_counted():
     assert {(f"{kind}.invalid", True) for kind in ("imu", "wheel", "gnss")} <= set(codes(result))
 
 
+@pytest.mark.parametrize("gap_s", [0.8, 2.0])
+def test_invalid_imu_samples_are_a_gap_to_the_next_valid_one(gap_s):
+    def spoil(entry):
+        arrival, topic, message = entry
+        if topic != "imu" or not at(10) < message.stamp_ns < at(10 + gap_s):
+            return entry
+        return arrival, topic, replace(message, rate_radps=np.full(3, math.nan))
+
+    truth = short_truth()
+    result = run(edited(truth, spoil))
+    late = [p for p in result.poses if p.stamp_ns > at(10 + gap_s)]
+    assert [p.is_initialized for p in late[:5]] == [gap_s < 1.0] * 5
+    placed = [p for p in late if p.is_initialized]
+    gaps_m = [float(np.linalg.norm((p.T_map_base - truth.at(p.stamp_ns))[:2, 3])) for p in placed]
+    assert all(gap_m < p.protection_level_m for gap_m, p in zip(gaps_m, placed, strict=True))
+
+
+def test_fixes_that_are_held_while_the_machine_moves_are_no_measurements():
+    held = {}
+
+    def hold(fix):
+        return replace(held.setdefault("fix", fix), stamp_ns=fix.stamp_ns)
+
+    truth = short_truth()
+    result = run(edited(truth, fix_between(10, 13, hold)))
+    assert ("gnss.silent", True) in codes(result)
+    assert result.localizer.fixes[RejectionReason.REPEATED] > 25
+    assert np.max(np.linalg.norm(errors(result, truth).p_m[:, :2], axis=1)) < 0.15
+
+
+def test_an_imu_on_its_side_does_not_start():
+    def turned(entry):
+        arrival, topic, message = entry
+        if topic != "imu":
+            return entry
+        y_up = {"rate_radps": message.rate_radps[[0, 2, 1]], "acceleration_mps2": message.acceleration_mps2[[0, 2, 1]]}
+        return arrival, topic, replace(message, **y_up)
+
+    result = run(edited(short_truth(), turned), seconds=8)
+    assert not any(p.is_initialized for p in result.poses)
+    assert result.localizer.awaited.startswith("a tilt below 45 deg")
+
+
 @pytest.mark.parametrize("topic", ["imu", "wheel"])
 def test_no_odom_after_sensor_timeout(topic):
     truth = short_truth()
