@@ -68,7 +68,7 @@ def check(
     outside = max((_depth(h, free) for h in out), default=0.0)
     line = work_m + 0.5j * implement.working_width_m * np.array([1.0, -1.0])
     strips = np.concatenate([_strips(c, w, line) for c, w in zip(carried, works, strict=True)])
-    missed = field.difference(shapely.union_all(strips))
+    missed = field.difference(shapely.union_all(strips, grid_size=1e-6))
     return Finding(
         outside,
         1.0 - missed.area / field.area,

@@ -14,7 +14,7 @@ from configs.site import PoseConfig, Site
 from configs.vehicle import Implement, TrailedImplement, Vehicle
 from geometry.arrays import Float64, runs_of
 from geometry.footprint import corners_of, worked
-from geometry.polygon import grow, open_by, parts, place_of, shrink
+from geometry.polygon import grow, open_by, parts, place_of, shrink, united
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
 from messages.plan import Path
@@ -213,8 +213,10 @@ def plan_field(
     report("route")
     found = route(regions, transport, work)
     if not found.pieces:
-        x, y = site.start.x_m, site.start.y_m
-        raise FieldError(f"no line of the field is reached from the start at {describe(site, x, y)}: move the start")
+        name, (x, y) = (
+            ("end of the lane", site.lanes[-1].center_m[-1]) if site.lanes else ("start", site.start.pose[:2])
+        )
+        raise FieldError(f"no line of the field is reached from the {name} at {describe(site, x, y)}: move it")
     report("check")
     surveyed = drivable_area_of(site, work.boundary_margin_m, work.margins)
     spaces = [r.space(surveyed.allowed) for r in (rig, folded)]
@@ -334,7 +336,7 @@ def worked_area(paths: Sequence[Path], rig: Rig) -> BaseGeometry:
         for a, b in runs_of(path.is_working > 0):
             keep = corners_of(np.unwrap(heading[a : b + 1])) + a
             shapes.append(worked(left[keep], right[keep]))
-    return shapely.union_all(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
+    return united(shapes).buffer(0.005, join_style="mitre").buffer(-0.005, join_style="mitre")
 
 
 def _uncovered(
@@ -344,7 +346,7 @@ def _uncovered(
 
     `bends` is what no drivable line beside a curved guidance line works.
     """
-    free = shapely.union_all([r.free for r in regions if r is regions[0] or r.free.intersects(area)])
+    free = united([r.free for r in regions if r is regions[0] or r.free.intersects(area)])
     rim = free.difference(shrink(free, complete.margin_m + rig.width_m - rig.working_width_m + 0.1))
     missed = free.difference(area)
     narrow = narrow_parts(free, complete.margin_m, rig.width_m)
@@ -367,10 +369,10 @@ def _beside_bends(regions: Sequence[Region], passes: Sequence[Sequence[HeadlandP
     """What swaths along a curve leave bare between them, also those that are not reached; not at their ends."""
     found = []
     for region, around in zip(regions, passes, strict=True):
-        worked_by_passes = shapely.union_all([pass_coverage(p, rig) for p in around])
+        worked_by_passes = united([pass_coverage(p, rig) for p in around])
         inside = shrink(region.connector.drivable.free.difference(worked_by_passes), 0.5 * rig.working_width_m)
-        found.append(inside.difference(shapely.union_all([area_worked(s, rig) for s in region.swaths])))
-    return shapely.union_all(found)
+        found.append(inside.difference(united([area_worked(s, rig) for s in region.swaths])))
+    return united(found)
 
 
 def narrow_parts(free: BaseGeometry, margin_m: float, width_m: float) -> BaseGeometry:

@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from geometry.arrays import Bool, Float64, Int64, runs_of
 from geometry.footprint import worked
-from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink
+from geometry.polygon import ARC_ERROR_M, close_by, parts, ring_points, rounded, shrink, united
 from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
@@ -140,7 +140,7 @@ def _all_filled(
     arc where that takes less time, bare ground counted as time.
     """
     areas = [pass_coverage(p, rig) for p in passes]
-    bare = drivable.free.difference(shapely.union_all([*areas, inside]))
+    bare = drivable.free.difference(united([*areas, inside]))
     found = list(passes)
     for n, ring in reversed(list(enumerate(passes))):  # the strips beside an arc that is left out are filled before it
         for before, behind in _fills(ring, space, rig) if ring.is_closed else ():

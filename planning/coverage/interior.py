@@ -5,12 +5,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import shapely
 from shapely.geometry.base import BaseGeometry
 
 from configs.mission import Work
 from geometry.arrays import Float64
-from geometry.polygon import open_by, parts, polygon_of, shrink
+from geometry.polygon import open_by, parts, polygon_of, shrink, united
 from planning.coverage.blocks import blocks_of
 from planning.coverage.curved_swath import CurvedSwath, area_of, curved_swaths_over
 from planning.coverage.headland import HeadlandPass, pass_coverage
@@ -35,7 +34,7 @@ def swaths_inside(
     """Swaths over all that the passes leave bare, numbered; `space` is the free space of the rig."""
     bare = _workable(drivable, rig)
     if passes:
-        bare = bare.difference(shapely.union_all([pass_coverage(p, rig) for p in passes]))
+        bare = bare.difference(united([pass_coverage(p, rig) for p in passes]))
     found = swaths_over(bare, rig, work, space)
     return [replace(s, number=k) for k, s in enumerate(found)]
 
@@ -48,10 +47,10 @@ def fill_bare(
 
     `insert` returns whether it took any of some swaths, for at most a time of ways to them.
     """
-    covered = shapely.union_all([around, *(area_of(leg, rig) for leg in legs)])
+    covered = united([around, *(area_of(leg, rig) for leg in legs)])
     found = swaths_over(wide_bare(drivable, rig, covered), rig, work, space)
     insert(found, math.inf)
-    covered = shapely.union_all([covered, *(area_worked(s, rig) for s in found)])
+    covered = united([covered, *(area_worked(s, rig) for s in found)])
     share = covered.intersection(drivable.free).area / drivable.free.area
     remains = open_by(_workable(drivable, rig).difference(covered), REMAINS_M / 2.0)
     worth = worth_of(rig, share < rig.config.small_remains_share)
@@ -78,7 +77,7 @@ def swaths_over(bare: BaseGeometry, rig: Rig, work: Work, space: FreeSpace) -> l
     area = polygon_of(open_by(bare, SLIVER_M / 2.0))
     curved = curved_line_of(work)
     if curved is not None:
-        wide = polygon_of(shapely.union_all(parts(area, worth_of(rig, False).least_m2)))
+        wide = polygon_of(united(parts(area, worth_of(rig, False).least_m2)))
         return [*curved_swaths_over(wide, curved, rig, work.overlap_m, space)]
     direction = None if work.swath_direction_deg is None else float(np.radians(work.swath_direction_deg))
     min_m = rig.min_swath_m

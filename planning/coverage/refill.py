@@ -44,11 +44,12 @@ class _Work:
 
 
 def with_refills(
-    pieces: Sequence[RoutePiece], connectors: Sequence[PathConnector], refill: Refill
+    pieces: Sequence[RoutePiece], connectors: Sequence[PathConnector], refill: Refill, spots: Sequence[Sequence[Pose2]]
 ) -> tuple[list[RoutePiece], list[RefillCut]]:
     """The route with a way to the refill place between two lines before more than `every_m2` has been worked.
 
-    Raises FieldError for a place that is not there or not reached, and an area that one line exceeds.
+    `spots` are those of `refill_spots`. Raises FieldError for a place that is not reached, and an area that one line
+    exceeds.
     """
     works = _works(pieces, connectors[0].rig.working_width_m)
     for work in works:
@@ -59,7 +60,6 @@ def with_refills(
                 f"refill: {name} {piece.line} alone works {work.area_m2:.0f} m², more than every_m2 "
                 f"{refill.every_m2:g}: set a larger area"
             )
-    spots = _spots(connectors[0], refill)
     out, cuts = list[RoutePiece](), list[RefillCut]()
     since, first, copied = 0.0, 0, 0  # area and line since the last refill, pieces taken over
     for n, work in enumerate(works):
@@ -156,10 +156,11 @@ def _straight_m(leg: Leg) -> float:
     return 0.0 if leg.curvature_radpm.any() else math.dist(leg.p_map_m[0], leg.p_map_m[-1])
 
 
-def _spots(connector: PathConnector, refill: Refill) -> list[list[Pose2]]:
+def refill_spots(connector: PathConnector, refill: Refill) -> list[list[Pose2]]:
     """Free poses along the edge next to the point, nearest first, in both directions where they are free.
 
-    Those on the pass along the edge come before those on passes further inside, which are left more easily.
+    Those on the pass along the edge come before those on passes further inside, which are left more easily. Raises
+    FieldError where there is none.
     """
     site, point = connector.drivable.site, Point(refill.at_m)
     for area in site.no_go:

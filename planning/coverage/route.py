@@ -15,7 +15,7 @@ from shapely.geometry.base import BaseGeometry
 from configs.mission import Work
 from geometry.arrays import Float64
 from geometry.footprint import is_inside
-from geometry.polygon import parts
+from geometry.polygon import parts, united
 from geometry.polyline import arc_length, curvatures, headings, polyline, resample, smooth
 from geometry.pose2 import Pose2
 from messages.errors import FieldError
@@ -25,7 +25,7 @@ from planning.coverage.insertion import Stop, Tour, inserted
 from planning.coverage.interior import AnySwath, area_worked, fill_bare, wide_bare
 from planning.coverage.line_route import drive_lines
 from planning.coverage.pass_route import drive_passes, opened, places_on, turn_pieces
-from planning.coverage.refill import RefillCut, with_refills
+from planning.coverage.refill import RefillCut, refill_spots, with_refills
 from planning.coverage.remains import worth_of
 from planning.coverage.swath import directions_of
 from planning.coverage.swath_order import is_ordered
@@ -68,7 +68,7 @@ class Route:
     def area(self, rig: Rig) -> BaseGeometry:
         """Area that swaths and passes work."""
         passes = (pass_coverage(p, rig) for p in self.headland_passes)
-        return shapely.union_all([*passes, *(area_worked(s, rig) for s in self.swaths)])
+        return united([*passes, *(area_worked(s, rig) for s in self.swaths)])
 
 
 def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
@@ -77,6 +77,7 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     `transport` is the free space of the folded rig.
     """
     connector = regions[0].connector
+    spots = [] if work.refill is None else refill_spots(connector, work.refill)
     lane = lane_leg(connector) if connector.drivable.site.lanes else None
     entry, pose = _entry(connector, lane)
     ways, visits = TransportWays(pose, transport, connector.rig.turn_times), list[Route]()
@@ -86,12 +87,14 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     tour, found = _worked(regions[0], pose, home, work, _free_number(regions, visits))
     if connector.rig.trailer is None:
         visits += _visits_to_lines(regions, ways, work, [*visits, found])
-    back = [] if lane is None else _return(connector, tour, lane)
     routes = [*visits, found]
     worked = [piece for one in routes for piece in one.pieces]
-    pieces, cuts = [*entry, *worked, *back] if worked else [], list[RefillCut]()
+    if not worked:
+        return Route([], [], [])
+    back = [] if lane is None else _return(connector, tour, lane)
+    pieces, cuts = [*entry, *worked, *back], list[RefillCut]()
     if work.refill is not None:
-        pieces, cuts = with_refills(pieces, [region.connector for region in regions], work.refill)
+        pieces, cuts = with_refills(pieces, [region.connector for region in regions], work.refill, spots)
     return Route(
         pieces, [s for one in routes for s in one.swaths], [p for one in routes for p in one.headland_passes],
         sum(one.moved for one in routes), cuts,
@@ -200,7 +203,7 @@ def _filled_route(
 ) -> tuple[Tour, Route]:
     """A tour, with reversing with swaths over what it and the closed passes leave bare, and its route."""
     if connector.rig.has_reverse:
-        rig, around = connector.rig, shapely.union_all([pass_coverage(p, connector.rig) for p in closed])
+        rig, around = connector.rig, united([pass_coverage(p, connector.rig) for p in closed])
         for _ in range(FILLINGS):
             legs = [stop.leg for stop in tour.stops]
             filled = _Filled(connector, home, tour, number)
@@ -267,8 +270,8 @@ def _visits_to_lines(
         visits.add([line for line in lines if id(line.source) not in driven])
     rig, space, drivable = visits.connector.rig, visits.connector.space, visits.connector.drivable
     if rig.has_reverse:
-        whole = replace(drivable, free=shapely.union_all([r.connector.drivable.free for r in regions]))
-        covered = shapely.union_all([one.area(rig) for one in (*routes, *visits.routes)])
+        whole = replace(drivable, free=united([r.connector.drivable.free for r in regions]))
+        covered = united([one.area(rig) for one in (*routes, *visits.routes)])
         if parts(wide_bare(whole, rig, covered), worth_of(rig, False).least_m2):
             fill_bare(whole, rig, work, space, covered, (), visits.insert)
     return visits.routes

@@ -16,6 +16,7 @@ from planning.turns.words import MAX_WORDS, SEGMENTS, words
 
 STEP_M = 0.1
 COARSE_M = 0.5
+BETWEEN = 4  # steps of a last check between two poses: a corner of a body may pass a corner of the field there
 COARSE_SLACK_M = 0.1  # of the first check, before ramps are corrected
 COARSE_HITCH = 1.3  # of the hitch angle at the goal, in that check
 MAX_POSES = 6000
@@ -293,6 +294,8 @@ def search_kernel(
             poses, count, gap_m, boxes_m, edges_m, west_m, south_m, columns, rows, first, items
         ):  # fmt: skip
             continue
+        if not _is_free_between(poses, count, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+            continue
         if _is_trailed_free(
             poses, count, trailed_m, hitch_rad, most_hitch_rad, edges_m, west_m, south_m, columns, rows, first, items
         ):  # fmt: skip
@@ -333,6 +336,21 @@ def _is_free(
         if poses[k, 4] != before or (k == count - 1 and poses[k, 4] < 0.0):
             by = gap_m * (before if poses[k, 4] != before else -1.0)
             x, y = x + by * math.cos(heading), y + by * math.sin(heading)
+            if is_touching(x, y, heading, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
+                return False
+    return True
+
+
+@kernel
+def _is_free_between(
+    poses: Float64, count: int, boxes_m: Float64, edges_m: Float64, west_m: float, south_m: float, columns: int,
+    rows: int, first: Int32, items: Int32,
+) -> bool:  # fmt: skip
+    """Whether the rig is free between each pose and the next."""
+    for k in range(count - 1):
+        for n in range(1, BETWEEN):
+            share = n / BETWEEN
+            x, y, heading = poses[k, :3] + share * (poses[k + 1, :3] - poses[k, :3])
             if is_touching(x, y, heading, boxes_m, edges_m, west_m, south_m, columns, rows, first, items):
                 return False
     return True

@@ -114,6 +114,14 @@ def test_a_place_or_area_that_is_none_is_refused(
         planned(field, refill=SEED | changes)
 
 
+def test_a_place_that_is_none_is_refused_before_the_route_is_planned(
+    planned: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("planning.coverage.route.drive_passes", None)
+    with pytest.raises(FieldError, match="no free place"):
+        planned(FIELD, refill=SEED | {"at_m": (55.0, 42.0)})
+
+
 @pytest.mark.parametrize(
     "changes", [{"every_m2": 0.0}, {"every_m2": -1.0}, {"reason": ""}, {"at_m": [1.0]}, {"at_m": [1.0, float("nan")]}]
 )

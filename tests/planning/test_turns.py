@@ -31,6 +31,7 @@ from planning.turns.words import MAX_WORDS, SEGMENTS, end_of, words
 
 RADIUS_M, RAMP_M = 5.0, 1.8
 BODIES = (Rectangle(-1.0, 3.5, 2.3), Rectangle(-2.4, -1.1, 6.1))
+SLIM_BODIES = tuple(Rectangle(b.rear_m + 0.005, b.front_m - 0.005, b.width_m - 0.01) for b in BODIES)
 GAP_M = 0.4
 FORWARD, REVERSE = TurnTimes(1.4, 0.8, 8.0, GAP_M, False), TurnTimes(1.4, 0.8, 8.0, GAP_M, True)
 FIELD = Polygon([(0, 0), (70, 0), (70, 40), (40, 40), (40, 60), (0, 60)], [[(20, 20), (26, 19), (27, 26), (21, 27)]])
@@ -217,3 +218,22 @@ def test_area_between_edge_lines_is_the_union_of_its_steps(radius_m: float, widt
     a, b = middle + 0.5 * width_m * left, middle - 0.5 * width_m * left
     steps = [shapely.convex_hull(shapely.MultiPoint([a[k], a[k + 1], b[k + 1], b[k]])) for k in range(199)]
     assert worked(a, b).symmetric_difference(shapely.union_all(steps)).area < 1e-6
+
+
+def test_turns_are_free_between_their_poses() -> None:
+    """A corner of the implement passes thin posts also between two poses, which a path has at other places."""
+    rng = np.random.default_rng(5)
+    posts = [[(x, y), (x + 0.01, y), (x, y + 0.01)] for x, y in rng.uniform(5.0, 55.0, (40, 2))]
+    area = Polygon([(0, 0), (60, 0), (60, 60), (0, 60)], posts)
+    space, slim = (FreeSpace(area, bodies, RADIUS_M, RAMP_M) for bodies in (BODIES, SLIM_BODIES))
+    found = 0
+    for _ in range(400):
+        (ax, ay, a), (bx, by, b) = rng.uniform((8.0, 8.0, -3.0), (52.0, 52.0, 3.0), (2, 3))
+        turn = find_turn(ConnectionRequest(Pose2(ax, ay, a), Pose2(bx, by, b), 1.0, 3.5), space, REVERSE)
+        for leg in () if turn is None else turn.legs:
+            fine = np.linspace(0, len(leg.p_map_m) - 1, 20 * len(leg.p_map_m))
+            columns = (*leg.p_map_m.T, leg.heading_rad)
+            x, y, heading = (np.interp(fine, np.arange(len(leg.p_map_m)), column) for column in columns)
+            assert not slim.touching(np.column_stack([x, y]), heading).any()
+            found += 1
+    assert found > 20
