@@ -330,7 +330,7 @@ def _without_pits(low: Float64) -> Float64:
             below = 0
             for k in range(count):
                 below += some[k] <= low[row, column] + PIT_M
-            if count > 0 and 4 * below <= count:
+            if 4 * below <= count:
                 out[row, column] = np.inf
     return out
 
