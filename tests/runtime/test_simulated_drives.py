@@ -57,7 +57,7 @@ def mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StoredMission:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
 
     async def stored() -> StoredMission:
-        desk = desk_in(tmp_path, PLANNER)
+        desk = desk_in(tmp_path, PLANNER, 240.0)
         desk.set_option("implement", "harrow_6m", "anna")
         await desk.load({"corner.geojson": geojson()})
         await desk.make_plan()
