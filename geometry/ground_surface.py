@@ -288,25 +288,21 @@ def envelope(low: Float64, rise_m: float, reach: int) -> Float64:
 
 
 @kernel
-def plant_heights(tops: Float64, reach: int, low: float, high: float, share: float, extent: int = 0) -> Float64:
-    """Upper quartile of the tops (R, C) above `low`, at most `high`, within reach of each cell in rows and columns.
-
-    0 where fewer than `share` of the finite ones are, or where they extend over less than `extent` rows or columns.
-    """
+def plant_heights(tops: Float64, reach: int, low: float, high: float, share: float) -> Float64:
+    """Upper quartile of the tops (R, C) above `low`, at most `high`, within reach of each cell in rows and columns; 0
+    where fewer than `share` of the finite ones are."""
     rows, columns = tops.shape
     out, some = np.zeros((rows, columns)), np.empty((2 * reach + 1) ** 2)
     for row in range(rows):
         for column in range(columns):
             known = count = 0
-            first, last, left, right = rows, -1, columns, -1
             for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
                 for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
                     known += tops[i, j] < np.inf
                     if low < tops[i, j] <= high:
                         some[count] = tops[i, j]
                         count += 1
-                        first, last, left, right = min(first, i), max(last, i), min(left, j), max(right, j)
-            if count > 0 and count >= share * known and min(last - first, right - left) >= extent:
+            if count > 0 and count >= share * known:
                 out[row, column] = np.sort(some[:count])[3 * count // 4]
     return out
 

@@ -16,9 +16,7 @@ from geometry.arrays import Float32, Float64, Int32
 from geometry.ground_surface import plant_heights, second_largest
 from perception.lidar.grid import Grid
 
-CELL_M = 0.5
-EXTENT = 4  # cells over which plants extend at least in both directions, and no body
-REACH = 3  # cells to either side over which plants are even: wider than a body that lies, and than what it hides
+REACH = 2  # sectors and bins to either side over which plants are even
 
 
 class VegetationConfig(Config):
@@ -39,19 +37,14 @@ def plants(z: Float32, starts: Int32, surface_m: Float64, grid: Grid, config: Ve
     """
     bins = int(np.searchsorted(grid.range_m, config.range_m))
     tops = (second_largest(z, starts, np.inf).reshape(surface_m.shape) - surface_m)[:, :bins]
-    is_known = np.isfinite(tops)
-    known = tops[is_known]
+    known = tops[np.isfinite(tops)]
     is_plant = (known > config.min_height_m) & (known <= config.max_height_m)
     if np.count_nonzero(is_plant) <= config.min_share * len(known):
         return None
-    turn = (np.arange(grid.sectors) + 0.5) * (2.0 * np.pi / grid.sectors)
-    at = grid.range_m[:bins, None] * np.array([np.cos(turn), np.sin(turn)])[:, None]  # (2, bins, sectors)
-    row, column = np.floor((at.swapaxes(1, 2) + grid.range_m[bins - 1]) / CELL_M).astype(np.int64)
-    level = np.full((row.max() + 1, column.max() + 1), -np.inf)  # square cells, each with the highest of its tops
-    np.maximum.at(level, (row[is_known], column[is_known]), known)
-    level[np.isneginf(level)] = np.inf
-    height_m = plant_heights(level, REACH, config.min_height_m, config.max_height_m, config.share, EXTENT)
-    height_m = maximum_filter(height_m, 3, mode="nearest")[row, column]  # to the edge of the plants
+    around = np.concatenate([tops[-REACH:], tops, tops[:REACH]])
+    limits = config.min_height_m, config.max_height_m, config.share
+    height_m = plant_heights(around, REACH, *limits)[REACH:-REACH]
+    height_m = maximum_filter(height_m, 2 * REACH + 1, mode=("wrap", "nearest"))  # to the edge of the plants
     found = np.zeros(surface_m.shape)
     found[:, :bins] = np.where(height_m > 0.0, height_m + config.margin_m, 0.0)
     return found
