@@ -309,24 +309,21 @@ def plant_heights(tops: Float64, reach: int, low: float, high: float, share: flo
 
 @inline_kernel
 def _without_pits(low: Float64) -> Float64:
-    """The low heights (R, C) of the cells, infinite where one is `PIT_M` below a quarter of the known ones about it.
+    """The low heights (R, C) of the cells, infinite where three quarters of the known ones about it are more than
+    `PIT_M` higher.
 
     Reflections in water and on wet ground lie below it; each lowers the surface within reach.
     """
     rows, columns = low.shape
-    out, some = low.copy(), np.empty((2 * PIT_REACH + 1) ** 2)
+    out = low.copy()
     for row in range(rows):
         for column in range(columns):
-            count = 0
+            known = level = 0
             for i in range(max(row - PIT_REACH, 0), min(row + PIT_REACH + 1, rows)):
                 for j in range(max(column - PIT_REACH, 0), min(column + PIT_REACH + 1, columns)):
-                    if low[i, j] < np.inf:
-                        some[count] = low[i, j]
-                        count += 1
-            below = 0
-            for k in range(count):
-                below += some[k] <= low[row, column] + PIT_M
-            if 4 * below <= count:
+                    known += low[i, j] < np.inf
+                    level += low[i, j] <= low[row, column] + PIT_M
+            if 4 * level <= known:
                 out[row, column] = np.inf
     return out
 
