@@ -3,8 +3,8 @@
     ./headland benchmark perception_lying [--n N] [--seed SEED]
 
 A body of boxes or cylinders stands on free ground ahead of a car with the lidar on its roof, in the beams that returned
-in the recorded scan. Found: the supervisor has a confirmed return within 1 m of it after four scans. False: it has one
-there without the body. Scans are read from HEADLAND_DATA, else from ../shared/data.
+in the recorded scan. Found: the supervisor has a confirmed return, or the lidar pipeline an obstacle, within 1 m of it
+after four scans. False: the same without the body. Scans are read from HEADLAND_DATA, else from ../shared/data.
 """
 
 import argparse
@@ -15,13 +15,14 @@ from functools import cache
 import numpy as np
 
 from benchmarks.perception_adjacent import Boxes, Scene, body_ranges, box_ranges
-from benchmarks.perception_kitti_data import PERIOD_NS, START_NS, car, frame, has_frames, scan_of
+from benchmarks.perception_kitti_data import PERIOD_NS, START_NS, car, configs, frame, has_frames, scan_of
 from benchmarks.recordings import DATA
 from configs.strict import CONFIGS, parse, read_yaml
 from configs.vehicle import Vehicle
 from datasets.importers.packet_captures import open_capture
 from geometry.arrays import Float64
 from messages.sensors import LidarScan
+from perception.lidar.obstacles import Pipeline
 from safety.sources.ground_filter import Motion
 from safety.sources.lidar import LidarSource
 from safety.supervisor_config import SupervisorConfig
@@ -37,6 +38,9 @@ BODIES: dict[str, Boxes] = {
 RANGE_M, NEAR_M, FREE_M, LOW_M = (4.7, 11.0), 1.0, 1.3, 0.1  # the car ends at 3.7 m
 LEAST_RETURNS, LEAST_SHARE, SCANS, NOISE_M = 6, 0.6, 4, 0.02
 TRIES = 400  # places per body that counts
+
+Found = tuple[bool, bool]  # by supervisor, by pipeline
+Outcome = tuple[Found, ...]  # with and without the body
 
 
 @dataclass(frozen=True)
@@ -97,8 +101,11 @@ def vehicle_of(scan: Recorded) -> Vehicle:
     return parse(Vehicle, values, scan.name)
 
 
-def is_found(vehicle: Vehicle, points_m: Float64, place_m: tuple[float, float], rng: np.random.Generator) -> bool:
-    """Whether the supervisor confirms a return near a place after scans with noise of their own."""
+def found_by(
+    vehicle: Vehicle, pipeline: Pipeline, points_m: Float64, place_m: tuple[float, float], rng: np.random.Generator
+) -> tuple[bool, bool]:
+    """Whether the supervisor confirms a return near a place after scans with noise of their own, and whether the lidar
+    pipeline gives an obstacle there in the last."""
     source = LidarSource(
         "top", vehicle.sensors.lidar["top"], footprint_of(vehicle, None), config(), measures_ground=True
     )
@@ -106,15 +113,18 @@ def is_found(vehicle: Vehicle, points_m: Float64, place_m: tuple[float, float], 
     for k in range(SCANS):
         noisy = points_m * (1.0 + rng.normal(0.0, 0.4 * NOISE_M, len(points_m)) / away_m)[:, None]
         area = Box((-5.0, RANGE_M[1] + 6.0), (-6.0, 6.0))
-        source.update(
-            scan_of(noisy.astype(np.float32), START_NS + k * PERIOD_NS), np.zeros(3), Motion(0.0, 0.0), 0.0, area
-        )
-    return bool((np.hypot(*(source.hits_odom_m[:, :2] - place_m).T) < NEAR_M).any())
+        one = scan_of(noisy.astype(np.float32), START_NS + k * PERIOD_NS)
+        source.update(one, np.zeros(3), Motion(0.0, 0.0), 0.0, area)
+    _, obstacles, _ = pipeline.run(one, None, "top", 0)
+    places = source.hits_odom_m[:, :2], obstacles.center_base_m[:, :2]
+    confirmed, given = ((np.hypot(*(found - place_m).T) < NEAR_M).any() for found in places)
+    return bool(confirmed), bool(given)
 
 
-def trials(scan: Recorded, body: str, n: int, rng: np.random.Generator) -> Iterator[tuple[bool, bool]]:
+def trials(scan: Recorded, body: str, n: int, rng: np.random.Generator) -> Iterator[Outcome]:
     """Whether a body is found, and whether something is found at its place without it, at free places ahead."""
     vehicle, level_m = vehicle_of(scan), -scan.height_m
+    pipeline = Pipeline(vehicle.sensors.lidar["top"], vehicle, None, configs()[0])
     done = 0
     for _ in range(TRIES * n):
         if done == n:
@@ -137,24 +147,26 @@ def trials(scan: Recorded, body: str, n: int, rng: np.random.Generator) -> Itera
         if seen.sum() < max(LEAST_RETURNS, LEAST_SHARE * np.isfinite(own).sum()):
             continue
         with_body = scene.directions * np.where(seen, own + rng.normal(0.0, NOISE_M, len(own)), ranges)[:, None]
-        yield is_found(vehicle, with_body, (away, 0.0), rng), is_found(vehicle, points_m, (away, 0.0), rng)
+        yield tuple(found_by(vehicle, pipeline, one, (away, 0.0), rng) for one in (with_body, points_m))
         done += 1
 
 
 def main() -> None:
-    """Prints one line per scan: found and false of the trials with each body."""
+    """Prints two lines per scan, supervisor and lidar pipeline: found and false of the trials with each body."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--n", type=int, default=15, help="places of each body in each scan")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     print(f"{'found (false) of ' + str(arguments.n):22s}" + "".join(f"{body:>18s}" for body in BODIES))
     for scan in recorded():
-        line = ""
+        lines = ["", ""]
         for body in BODIES:
             outcomes = list(trials(scan, body, arguments.n, np.random.default_rng(arguments.seed)))
-            found, false = (sum(one[k] for one in outcomes) for k in (0, 1))
-            line += f"{f'{found} ({false}) of {len(outcomes)}':>18s}"
-        print(f"{scan.name:22s}{line}", flush=True)
+            for by in range(2):
+                found, false = (sum(one[k][by] for one in outcomes) for k in range(2))
+                lines[by] += f"{f'{found} ({false}) of {len(outcomes)}':>18s}"
+        for line, by in zip(lines, ("supervisor", "pipeline"), strict=True):
+            print(f"{scan.name:11s}{by:11s}{line}", flush=True)
 
 
 if __name__ == "__main__":

@@ -288,15 +288,21 @@ def envelope(low: Float64, rise_m: float, reach: int) -> Float64:
 
 
 @kernel
-def plant_heights(tops: Float64, reach: int, low: float, high: float, share: float) -> Float64:
+def plant_heights(tops: Float64, reach: int, steps: Int64, low: float, high: float, share: float) -> Float64:
     """Upper quartile of the tops (R, C) above `low`, at most `high`, within reach of each cell in rows and columns; 0
-    where fewer than `share` of the finite ones are."""
+    where fewer than `share` of the finite ones are.
+
+    `steps` (C,): rows from one of these cells to the next in each column, where rows lie closer than columns.
+    """
     rows, columns = tops.shape
     out, some = np.zeros((rows, columns)), np.empty((2 * reach + 1) ** 2)
     for row in range(rows):
         for column in range(columns):
             known = count = 0
-            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for k in range(-reach, reach + 1):
+                i = row + k * steps[column]
+                if not 0 <= i < rows:
+                    continue
                 for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
                     known += tops[i, j] < np.inf
                     if low < tops[i, j] <= high:

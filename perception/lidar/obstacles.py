@@ -152,7 +152,7 @@ class Pipeline:
     def warm(self) -> None:
         """Compiles or loads all kernels at start-up, with and without firing times, so that no scan waits for it."""
         np.empty(HEAP_RESERVE_BYTES, np.uint8)  # freed at once
-        plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)  # else only called among plants
+        plant_heights(np.zeros((1, 1)), 1, np.ones(1, np.int64), 0.0, 1.0, 0.5)  # else only called among plants
         none, two = np.zeros(0, np.float64), np.array([[9.0, 0.0, 1.0], [9.0, 0.1, 1.0]], np.float32)
         for offset_s in (np.zeros(0, np.float32), np.full(2, -0.05, np.float32)):
             image, intensity = np.zeros((0, 0), np.uint16), np.zeros(0, np.uint8)

@@ -17,6 +17,7 @@ from geometry.ground_surface import plant_heights, second_largest
 from perception.lidar.grid import Grid
 
 REACH = 2  # sectors and bins to either side over which plants are even
+WIDTH_M = 1.8  # to either side at least, at any distance: a body that lies across covers less than half of it
 
 
 class VegetationConfig(Config):
@@ -41,9 +42,12 @@ def plants(z: Float32, starts: Int32, surface_m: Float64, grid: Grid, config: Ve
     is_plant = (known > config.min_height_m) & (known <= config.max_height_m)
     if np.count_nonzero(is_plant) <= config.min_share * len(known):
         return None
-    around = np.concatenate([tops[-REACH:], tops, tops[:REACH]])
+    steps = np.ceil(WIDTH_M * grid.sectors / (REACH * 2.0 * np.pi * grid.range_m[:bins])).astype(np.int64)
+    steps = np.minimum(steps, grid.sectors // (8 * REACH))  # an eighth of a turn
+    wrap = REACH * steps.max()
+    around = np.concatenate([tops[-wrap:], tops, tops[:wrap]])
     limits = config.min_height_m, config.max_height_m, config.share
-    height_m = plant_heights(around, REACH, *limits)[REACH:-REACH]
+    height_m = plant_heights(around, REACH, steps, *limits)[wrap:-wrap]
     height_m = maximum_filter(height_m, 2 * REACH + 1, mode=("wrap", "nearest"))  # to the edge of the plants
     found = np.zeros(surface_m.shape)
     found[:, :bins] = np.where(height_m > 0.0, height_m + config.margin_m, 0.0)

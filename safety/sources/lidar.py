@@ -404,7 +404,7 @@ def warm(T_base_sensor: Float64) -> None:
     cell = cells_in_grid(xyz, corner, shape, 1.0)
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
     heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
-    plant_heights(np.zeros((1, 1)), 1, 0.0, 1.0, 0.5)
+    plant_heights(np.zeros((1, 1)), 1, np.ones(1, np.int64), 0.0, 1.0, 0.5)
 
 
 def content_of(scan: LidarScan) -> int | None:

@@ -112,7 +112,8 @@ def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, 
     `even_m`: height of plants that cover most of the cells; they count in all, since plants also hide the ground.
     """
     highest_m = config.highest_m(consented_m)
-    found_m = plant_heights(tops_m, config.reach_cells, config.min_height_m, highest_m, config.share)
+    steps = np.ones(tops_m.shape[1], np.int64)
+    found_m = plant_heights(tops_m, config.reach_cells, steps, config.min_height_m, highest_m, config.share)
     return np.maximum(found_m, even_m if even_m <= highest_m else 0.0)
 
 

@@ -111,12 +111,13 @@ def test_plants_are_as_high_as_many_cells_around() -> None:
     tops = np.full((20, 20), 0.02)
     tops[:, :8] = np.random.default_rng(1).uniform(0.28, 0.34, (20, 8))
     tops[10:14, 14:16], tops[3, 3], tops[5, 5] = 0.3, 1.7, np.inf  # a low body, a person in the plants, an empty cell
-    found = plant_heights(tops, 3, 0.15, 0.4, 0.4)
+    steps = np.ones(20, np.int64)
+    found = plant_heights(tops, 3, steps, 0.15, 0.4, 0.4)
     assert found[:, :8].min() > 0.3
     assert found[:, :8].max() <= 0.34
     assert (found[:, 9:] == 0.0).all()
-    assert (plant_heights(tops, 3, 0.15, 0.25, 0.4) == 0.0).all()
-    assert (plant_heights(np.full((4, 4), np.inf), 3, 0.15, 0.4, 0.4) == 0.0).all()
+    assert (plant_heights(tops, 3, steps, 0.15, 0.25, 0.4) == 0.0).all()
+    assert (plant_heights(np.full((4, 4), np.inf), 3, steps[:4], 0.15, 0.4, 0.4) == 0.0).all()
 
 
 def test_cells_of_returns_and_of_those_beyond_the_grid() -> None:

@@ -46,3 +46,19 @@ def test_bare_ground_low_plants_and_walls_are_no_plants() -> None:
     is_body = (np.abs(lying[:, 0] - 6.0) < 0.9) & (np.abs(lying[:, 1]) < 0.25)
     lying[is_body, 2] = 0.25
     assert not plants_of(lying).any()
+
+
+@pytest.mark.parametrize("distance_m", [4.0, 4.7, 8.0, 12.0])
+def test_a_body_that_hides_the_ground_behind_it_is_no_plant(distance_m: float) -> None:
+    """Bodies 0.5 m high, 1.8 and 0.5 m long, beside plants: most of the cells that are seen near them are theirs."""
+    for length_m in (0.5, 1.8):
+        xyz = crop(0.35, 4, left_only=True)
+        along, across = -xyz[:, 1], xyz[:, 0]
+        is_behind = (along > distance_m) & (np.abs(across) < 0.5 * length_m * along / distance_m)
+        is_body = is_behind & (along < distance_m + 0.6)
+        xyz[is_body, 2] = np.linspace(0.05, 0.5, is_body.sum())
+        xyz = xyz[is_body | ~is_behind]
+        is_body = is_body[is_body | ~is_behind]
+        found = plants_of(xyz)
+        assert found.any()
+        assert not found[is_body].any()
