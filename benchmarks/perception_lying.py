@@ -165,8 +165,8 @@ def main() -> None:
             for by in range(2):
                 found, false = (sum(one[k][by] for one in outcomes) for k in range(2))
                 lines[by] += f"{f'{found} ({false}) of {len(outcomes)}':>18s}"
-        for line, by in zip(lines, ("supervisor", "pipeline"), strict=True):
-            print(f"{scan.name:11s}{by:11s}{line}", flush=True)
+        for line, finder in zip(lines, ("supervisor", "pipeline"), strict=True):
+            print(f"{scan.name:11s}{finder:11s}{line}", flush=True)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 
 from configs.vehicle import Sensors
 from geometry.arrays import Float64
+from geometry.near_points import is_near, warm
 from geometry.pose2 import from_frame, to_frame
 from geometry.transforms import invert
 from messages.command import ControlCommand
@@ -28,7 +29,7 @@ from safety.sources.lidar import LidarSource
 from safety.sources.multiple_evaluation import thin
 from safety.stopping_distance import Braking, stopping_distance, stopping_time
 from safety.zones.bystanders import Bystanders
-from safety.zones.departure import NOWHERE, Departure, is_near
+from safety.zones.departure import NOWHERE, Departure
 from safety.zones.footprint import FootprintSet
 from safety.zones.geofence import Geofence, distance_inside_m
 from safety.zones.known_structure import KnownStructure
@@ -89,6 +90,7 @@ class CollisionMonitor:
         self, footprints: FootprintSet, sensors: Sensors, geofence: Geofence | None,
         known_structure: KnownStructure | None, config: SafetyConfig, consented_m: float = 0.0,
     ) -> None:  # fmt: skip
+        warm()
         self.sources = ObstacleSources(sensors, footprints.working, config, consented_m)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()

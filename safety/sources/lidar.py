@@ -22,6 +22,7 @@ from geometry.ground_surface import (
     stand_out_of_cell,
     typical_of_blocks,
 )
+from geometry.near_points import is_near
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import (
@@ -60,7 +61,6 @@ from safety.sources.multiple_evaluation import (
     is_among,
 )
 from safety.sources.near_field import mark_low_obstacles, near_box
-from safety.zones.departure import is_near
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))

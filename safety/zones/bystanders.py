@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.near_points import is_near
 from geometry.pose2 import from_frame
 from messages.perception import ObstacleClass, Track, Tracks
 from safety.config import BystanderConfig, TrackedConfig
 from safety.monitors.memory import DebounceTimer
-from safety.zones.departure import STILL_M, is_near
+from safety.zones.departure import STILL_M
 from safety.zones.followers import Followers
 from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea

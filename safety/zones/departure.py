@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64
+from geometry.arrays import Float64
+from geometry.near_points import groups_of, is_in_box, is_near
 from geometry.pose2 import from_frame
 from safety.config import DepartureConfig
 from safety.zones.swept_area import SweptArea, distance_to_contact_m
@@ -135,30 +136,3 @@ class Departure:
     def _distance_m(points_odom_m: Float64, area: SweptArea, pose_odom: Float64, aside_m: float) -> Float64:
         """Distance to each point (N, 2) along the area widened by `aside_m` on each side, (N,), infinite beside it."""
         return distance_to_contact_m(from_frame(pose_odom, points_odom_m), area, 0.0, aside_m)
-
-
-def groups_of(points_m: Float64, within_m: float) -> list[Bool]:
-    """Masks (N,) of the parts of points (N, 2) that are farther than about `within_m` from each other."""
-    cells, cell = np.unique(np.floor(2.0 / within_m * points_m), axis=0, return_inverse=True)
-    is_next = np.abs(cells[:, None] - cells[None]).max(axis=2, initial=0.0) <= 1.0
-    part = np.arange(len(cells))
-    for _ in range(len(cells)):
-        lowest = np.where(is_next, part, len(cells)).min(axis=1, initial=len(cells))
-        if (lowest == part).all():
-            break
-        part = lowest
-    return [part[cell.ravel()] == number for number in np.unique(part)]
-
-
-def is_in_box(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
-    """Whether each point (N, 2) lies within the box about others (M, 2; at least one) and a distance, (N,) bool."""
-    low, high = others_m.min(axis=0) - within_m, others_m.max(axis=0) + within_m
-    return np.asarray(((points_m >= low) & (points_m <= high)).all(axis=1))
-
-
-def is_near(points_m: Float64, others_m: Float64, within_m: float) -> np.ndarray:
-    """Whether each point (N, 2) lies within a distance of one of the others (M, 2; at least one), (N,) bool."""
-    near = is_in_box(points_m, others_m, within_m)  # a hedge has thousands of returns
-    apart = points_m[near][:, None] - others_m[None]
-    near[near] = (np.einsum("nmk,nmk->nm", apart, apart) <= within_m**2).any(axis=1)
-    return np.asarray(near)

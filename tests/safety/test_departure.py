@@ -7,7 +7,7 @@ from configs.vehicle import MountedImplement, Vehicle
 from geometry.arrays import Float64
 from messages.command import Mode, OperatorCommandKind
 from safety.supervisor_config import SupervisorConfig
-from safety.zones.departure import Departure, groups_of, is_near
+from safety.zones.departure import Departure
 from safety.zones.footprint import footprint_of
 from safety.zones.protective_field import sweep_field
 from safety.zones.swept_area import SweptArea
@@ -157,17 +157,6 @@ def test_returns_of_a_scan_here_and_there_are_no_body(departure: Clocked, area: 
         departure.see(hits((5.0 + 2.5 * (k % 2), 3.0 * (k % 3 - 1))), area)
     departure.see(hits(), area, scans=5)
     assert not departure.is_unresolved
-
-
-def test_groups() -> None:
-    points = hits((0.0, 0.0), (0.4, 0.0), (0.9, 0.3), (4.0, 0.0), (-3.0, 0.2), (4.0, 0.4))
-    assert [np.flatnonzero(group).tolist() for group in groups_of(points, 1.0)] == [[4], [0, 1, 2], [3, 5]]
-    assert groups_of(hits(), 1.0) == []
-
-
-def test_is_near() -> None:
-    assert is_near(hits((0.0, 0.0), (1.0, 0.0)), hits((0.0, 1.0)), 1.0).tolist() == [True, False]
-    assert is_near(hits(), hits((0.0, 1.0)), 1.0).tolist() == []
 
 
 @clause("BD-5.2.4")
