@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 from shapely.geometry import LineString
@@ -116,24 +116,23 @@ def _best(
     connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry],
     following: tuple[HeadlandPass, list[_Entry]] | None, others: Sequence[Pose2] | None,
 ) -> tuple[Connection, _Entry] | None:  # fmt: skip
-    """Connection to the entry of least time together with the connection from there to the next pass."""
-    found: list[tuple[float, int, Connection]] = []
+    """Connection to the entry of least time together with the connection from there to the next pass.
+
+    An entry from which no turn leads to the next pass has to be left for another place.
+    """
+    links = ((n, _link(connector, last, entries[n])) for n in _by_time(connector, last, entries))
+    reached = ((n, connection) for n, connection in links if connection is not None)
     stuck: list[tuple[Connection, _Entry]] = []
-    for n in _by_time(connector, last, entries):
-        entry, connection = entries[n], _link(connector, last, entries[n])
-        if connection is None:
-            continue
-        onwards_s = _onwards_s(connector, entry, following[1] if following is not None else [])
-        if onwards_s == NO_LINK_S and not _is_left(connector, entry, others):
-            stuck.append((connection, entry))
-            continue
-        cost_s = connection.time_s - entry.saved_s + (onwards_s if following is not None else 0.0)
-        found.append((round(cost_s, 6), n, connection))
-        if len(found) == MAX_ENTRIES:
-            break
-    if found:
-        _, n, connection = min(found, key=lambda f: f[:2])
-        return connection, entries[n]
+    while tried := list(islice(reached, MAX_ENTRIES)):
+        ranked = list[tuple[float, int, bool, Connection]]()
+        for n, connection in tried:
+            onwards_s = _onwards_s(connector, entries[n], following[1] if following is not None else [])
+            cost_s = connection.time_s - entries[n].saved_s + (onwards_s if following is not None else 0.0)
+            ranked.append((round(cost_s, 6), n, onwards_s < NO_LINK_S, connection))
+        for _, n, is_linked, connection in sorted(ranked, key=lambda r: r[:2]):
+            if is_linked or _is_left(connector, entries[n], others):
+                return connection, entries[n]
+            stuck.append((connection, entries[n]))
     for connection, entry in chain(stuck[:THOROUGH_NEAR], _along(connector, last, ring, entries)):
         if _is_left(connector, entry, others) or (following and any(_along(connector, entry, *following))):
             return connection, entry
