@@ -12,7 +12,7 @@ from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.departure import departure_of, placed
+from planning.turns.departure import along, arrival_along, departure_of
 from planning.turns.search import AT_ONCE_M, Connection, Leg, bounds_s, straight
 
 STRIDE = 25  # points of a pass between two candidates, 2.5 m
@@ -37,7 +37,7 @@ class PassDrive:
 class _Entry:
     """Where the drive over a closed pass begins and ends: at one of its points, or in a corner without its turn.
 
-    Along an edge it ends with a departure.
+    Along an edge it ends with a departure, and where the edge is bent begins with an arrival.
     """
 
     index: int
@@ -45,6 +45,7 @@ class _Entry:
     end: Pose2
     turn: CornerTurn | None = None
     departure: Leg | None = None
+    arrival: Leg | None = None
 
     @property
     def saved_s(self) -> float:
@@ -64,8 +65,8 @@ def drive_passes(
     for ring, entries in left:
         if connector.rig.trailer is not None:
             _follow(connector, ring, entries)
-        elif ring.number == 0 and not connector.rig.has_reverse:
-            entries += _departing(connector, entries)
+        elif ring.number == 0:
+            entries[:] = _beside_edge(connector, ring, entries)
     pieces: list[RoutePiece] = []
     last, number, is_last = _Entry(0, start, start), 0, False
     while number < len(left) or (goals is None and left and not is_last):
@@ -82,7 +83,8 @@ def drive_passes(
         connection, last = best
         first, *others_of_loop = _loop(ring, last)
         more = [replace(piece, continues=True) for piece in others_of_loop]
-        pieces += [*turn_pieces(connection, ring.number), first, *more]
+        arrival = () if last.arrival is None else (RoutePiece(PathSectionType.TURN, ring.number, last.arrival, False),)
+        pieces += [*turn_pieces(connection, ring.number), *arrival, first, *more]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number, is_last = 0, False  # those that were not reached before may be now
@@ -242,17 +244,44 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
     return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
 
 
-def _departing(connector: PathConnector, entries: Sequence[_Entry]) -> list[_Entry]:
-    """Entries with a departure, where the rig is free on it."""
-    rig, space = connector.rig, connector.space
+def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence[_Entry]) -> list[_Entry]:
+    """Entries of a pass along an edge, with arrivals and departures where the rig is free on them.
+
+    Without reversing also those without departure.
+    """
+    rig = connector.rig
     if rig.config.edge_slack_m == 0.0:
-        return []
-    curve = departure_of(-rig.rear_m, rig.config.edge_slack_m)
-    legs = [placed(curve, entry.end) for entry in entries]
-    free = [space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs]
-    found = [replace(e, end=legs[k].pose(-1), departure=legs[k]) for k, e in enumerate(entries) if free[k]]
-    connector.departed.update(entry.end for entry in found)
-    return found
+        return list(entries)
+    leaving, coming = (departure_of(reach_m, rig.config.edge_slack_m) for reach_m in (-rig.rear_m, rig.front_m))
+    kept, departing = list[_Entry](), list[_Entry]()
+    for entry in entries:
+        if entry.turn is not None:
+            kept.append(entry)
+            continue
+        if not _is_free(connector, straight(entry.start.ahead(-rig.line_up_m), entry.start)):
+            leg = arrival_along(coming, _part(ring, entry.index - len(coming.p_map_m), entry.index))
+            if _is_free(connector, leg):
+                entry = replace(entry, start=leg.pose(0), arrival=leg)
+        leg = along(leaving, _part(ring, entry.index + CLOSING, entry.index + CLOSING + len(leaving.p_map_m)))
+        if _is_free(connector, leg):
+            departing.append(replace(entry, end=leg.pose(-1), departure=leg))
+            if rig.has_reverse:
+                continue
+        kept.append(entry)
+    connector.departed.update(entry.end for entry in departing)
+    return [*kept, *departing]
+
+
+def _is_free(connector: PathConnector, leg: Leg) -> bool:
+    """Whether the rig is free on a leg and can steer it."""
+    bend = float(np.abs(leg.curvature_radpm).max())
+    return bend < 1.0 / connector.rig.radius_m and connector.space.is_free(leg.p_map_m, leg.heading_rad)
+
+
+def _part(ring: HeadlandPass, first: int, last: int) -> Leg:
+    """Part of a closed pass from one index to another, around its end."""
+    index = np.arange(first, last + 1) % (len(ring.points_m) - 1)
+    return Leg(1, ring.points_m[index], np.unwrap(ring.heading_rad[index]), ring.curvature_radpm[index])
 
 
 def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:
