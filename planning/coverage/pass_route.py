@@ -12,10 +12,11 @@ from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.departure import along, arrival_along, departure_of
+from planning.turns.departure import along, arrival_along, departure_of, straightened
 from planning.turns.search import AT_ONCE_M, Connection, Leg, bounds_s, straight
 
 STRIDE = 25  # points of a pass between two candidates, 2.5 m
+SWINGS = (1.0, 0.2)  # of the slack beside an edge, which a bent edge takes itself
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
@@ -252,7 +253,10 @@ def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence
     rig = connector.rig
     if rig.config.edge_slack_m == 0.0:
         return list(entries)
-    leaving, coming = (departure_of(reach_m, rig.config.edge_slack_m) for reach_m in (-rig.rear_m, rig.front_m))
+    coming = departure_of(rig.front_m, rig.config.edge_slack_m)
+    leaving = [departure_of(-rig.rear_m, share * rig.config.edge_slack_m) for share in SWINGS]
+    if rig.has_reverse:
+        leaving = [straightened(curve, rig.config.smoothing_m) for curve in leaving]
     kept, departing = list[_Entry](), list[_Entry]()
     for entry in entries:
         if entry.turn is not None:
@@ -262,13 +266,16 @@ def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence
             leg = arrival_along(coming, _part(ring, entry.index - len(coming.p_map_m), entry.index))
             if _is_free(connector, leg):
                 entry = replace(entry, start=leg.pose(0), arrival=leg)
-        leg = along(leaving, _part(ring, entry.index + CLOSING, entry.index + CLOSING + len(leaving.p_map_m)))
-        if _is_free(connector, leg):
+        first = entry.index + CLOSING
+        legs = (along(curve, _part(ring, first, first + len(curve.p_map_m))) for curve in leaving)
+        leg = next((leg for leg in legs if _is_free(connector, leg)), None)
+        if leg is not None:
             departing.append(replace(entry, end=leg.pose(-1), departure=leg))
             if rig.has_reverse:
                 continue
         kept.append(entry)
-    connector.departed.update(entry.end for entry in departing)
+    if not rig.has_reverse:
+        connector.departed.update(entry.end for entry in departing)
     return [*kept, *departing]
 
 

@@ -28,6 +28,18 @@ def departure_of(tail_m: float, slack_m: float) -> Leg:
     return Leg(1, np.column_stack([x, away_m - swing_m]), np.arctan(slope), slope / tail_m / (1.0 + slope**2) ** 1.5)
 
 
+def straightened(curve: Leg, ramp_m: float) -> Leg:
+    """A curve, and on from it while its curvature falls to 0 over `ramp_m`: then a turn to either side may follow."""
+    s = STEP_M * np.arange(1, math.ceil(ramp_m / STEP_M) + 1)
+    bend = curve.curvature_radpm[-1] * np.maximum(1.0 - s / ramp_m, 0.0)
+    heading = curve.heading_rad[-1] + STEP_M * np.cumsum(bend + 0.5 * curve.curvature_radpm[-1] * STEP_M / ramp_m)
+    middle = 0.5 * (heading + np.append(curve.heading_rad[-1], heading[:-1]))
+    p = curve.p_map_m[-1] + STEP_M * np.cumsum(np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)
+    return Leg(
+        1, np.vstack([curve.p_map_m, p]), np.append(curve.heading_rad, heading), np.append(curve.curvature_radpm, bend)
+    )
+
+
 def along(curve: Leg, line: Leg) -> Leg:
     """A curve that leaves the x axis at the origin, beside a line instead, from its first pose on.
 
