@@ -20,7 +20,7 @@ SWINGS = (1.0, 0.2)  # of the slack beside an edge, which a bent edge takes itse
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
-MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 10, 6, 12, 8, 2
+MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 16, 6, 12, 8, 2
 NO_LINK_S = 100.0
 NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
 
@@ -246,10 +246,7 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
 
 
 def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence[_Entry]) -> list[_Entry]:
-    """Entries of a pass along an edge, with arrivals and departures where the rig is free on them.
-
-    Without reversing also those without departure.
-    """
+    """Entries of a pass along an edge, with arrivals, and also with departures, where the rig is free on them."""
     rig = connector.rig
     if rig.config.edge_slack_m == 0.0:
         return list(entries)
@@ -271,8 +268,6 @@ def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence
         leg = next((leg for leg in legs if _is_free(connector, leg)), None)
         if leg is not None:
             departing.append(replace(entry, end=leg.pose(-1), departure=leg))
-            if rig.has_reverse:
-                continue
         kept.append(entry)
     if not rig.has_reverse:
         connector.departed.update(entry.end for entry in departing)
