@@ -260,9 +260,9 @@ def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence
             kept.append(entry)
             continue
         if not _is_free(connector, straight(entry.start.ahead(-rig.line_up_m), entry.start)):
-            leg = arrival_along(coming, _part(ring, entry.index - len(coming.p_map_m), entry.index))
-            if _is_free(connector, leg):
-                entry = replace(entry, start=leg.pose(0), arrival=leg)
+            arrival = arrival_along(coming, _part(ring, entry.index - len(coming.p_map_m), entry.index))
+            if _is_free(connector, arrival):
+                entry = replace(entry, start=arrival.pose(0), arrival=arrival)
         first = entry.index + CLOSING
         legs = (along(curve, _part(ring, first, first + len(curve.p_map_m))) for curve in leaving)
         leg = next((leg for leg in legs if _is_free(connector, leg)), None)
