@@ -44,6 +44,7 @@ from planning.field.site_generation import site_within
 from planning.plan import NARROW_PART, plan_field
 
 LEAST_PLANNED_SHARE = 0.95
+ROUNDING_M = 1e-9  # outside
 WALL = 30.0  # wall time to processor time that is waited
 PASSES = {3.0: 4, 6.0: 2, 12.0: 2}
 Turns = Literal["forward", "reverse", "trailed"]
@@ -249,7 +250,7 @@ def main() -> int:
         with file.open("a") as stream:
             stream.write(json.dumps(found) + "\n")
     sys.stdout.write(table([known[c.key] for c in wanted]) + "\n")
-    return int(any(known[c.key].get("outside_m", 0.0) > 0.0 for c in wanted))
+    return int(any(known[c.key].get("outside_m", 0.0) > ROUNDING_M for c in wanted))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
 """Speed profile of a path: section, lateral acceleration and steering rate limits, joined by constant accelerations."""
 
+import math
+
 import numpy as np
 
 from geometry.arrays import Float64
+from geometry.jit import kernel
 from planning.rig import Rig
 
 TURN_SHARE = 0.4  # of the plan's maximum curvature: above it the turning speed applies in every section
@@ -14,9 +17,7 @@ def speed_profile(s_m: Float64, curvature_radpm: Float64, section_mps: Float64, 
     """Speed limit at each point, (N,), m/s; 0 at the end. The first limit is reached from standstill at once."""
     limit = np.minimum(section_mps, curve_limit(s_m, curvature_radpm, rig))
     limit[-1] = 0.0
-    gaps = np.diff(s_m)
-    for k in range(len(limit) - 2, -1, -1):
-        limit[k] = min(limit[k], np.sqrt(limit[k + 1] ** 2 + 2.0 * rig.config.deceleration_mps2 * gaps[k]))
+    _limit(limit[::-1], np.diff(s_m)[::-1], rig.config.deceleration_mps2)
     limit = limit_acceleration(limit, s_m, rig)
     limit[:-1] = np.maximum(limit[:-1], MIN_MPS)
     return limit
@@ -24,11 +25,17 @@ def speed_profile(s_m: Float64, curvature_radpm: Float64, section_mps: Float64, 
 
 def limit_acceleration(limit_mps: Float64, s_m: Float64, rig: Rig) -> Float64:
     """The limit lowered to what is reached from standstill at the first point, (N,)."""
-    limit, gaps = limit_mps.copy(), np.diff(s_m)
+    limit = limit_mps.copy()
     limit[0] = min(limit[0], START_MPS)
-    for k in range(1, len(limit) - 1):
-        limit[k] = min(limit[k], np.sqrt(limit[k - 1] ** 2 + 2.0 * rig.acceleration_mps2 * gaps[k - 1]))
+    _limit(limit[:-1], np.diff(s_m), rig.acceleration_mps2)
     return limit
+
+
+@kernel
+def _limit(limit_mps: Float64, gaps_m: Float64, acceleration_mps2: float) -> None:
+    """Lowers limits (N,) in place to what is reached from the one before, `gaps_m` away."""
+    for k in range(1, len(limit_mps)):
+        limit_mps[k] = min(limit_mps[k], math.sqrt(limit_mps[k - 1] ** 2 + 2.0 * acceleration_mps2 * gaps_m[k - 1]))
 
 
 def curve_limit(s_m: Float64, curvature_radpm: Float64, rig: Rig) -> Float64:

@@ -25,7 +25,7 @@ AnySwath = Swath | CurvedSwath
 SLIVER_M = 0.3  # thinner remains are no reason for a swath
 WIDE = 0.6  # of the working width: parts as wide get evenly spaced swaths
 GROWN_M = 0.05
-REMAINS_M = 1.0  # thinner remains of evenly spaced swaths
+REMAINS_M = 0.5  # thinner remains of evenly spaced swaths
 
 
 def swaths_inside(

@@ -95,19 +95,21 @@ def _move_parts(tour: Int64, cost: Float64) -> bool:
     n, end, is_better = len(tour), len(cost) - 1, False
     for size in range(1, min(4, n)):
         for i in range(n - size + 1):
-            part = tour[i : i + size].copy()
-            rest = np.concatenate((tour[:i], tour[i + size :]))
+            first, last = tour[i], tour[i + size - 1]
             before, after = (tour[i - 1] if i > 0 else end), (tour[i + size] if i + size < n else end)
-            gain = cost[before, part[0]] + cost[part[-1], after] - cost[before, after]
+            gain = cost[before, first] + cost[last, after] - cost[before, after]
             best, best_at, is_turned = gain - 1e-6, -1, False
-            for at in range(len(rest) + 1):
-                a, b = (rest[at - 1] if at > 0 else end), (rest[at] if at < len(rest) else end)
+            a = end
+            for at in range(n - size + 1):  # between two lines of the others
+                b = end if at == n - size else tour[at if at < i else at + size]
                 base = -cost[a, b]
-                if base + cost[a, part[0]] + cost[part[-1], b] < best:
-                    best, best_at, is_turned = base + cost[a, part[0]] + cost[part[-1], b], at, False
-                if base + cost[a, part[-1] ^ 1] + cost[part[0] ^ 1, b] < best:
-                    best, best_at, is_turned = base + cost[a, part[-1] ^ 1] + cost[part[0] ^ 1, b], at, True
+                if base + cost[a, first] + cost[last, b] < best:
+                    best, best_at, is_turned = base + cost[a, first] + cost[last, b], at, False
+                if base + cost[a, last ^ 1] + cost[first ^ 1, b] < best:
+                    best, best_at, is_turned = base + cost[a, last ^ 1] + cost[first ^ 1, b], at, True
+                a = b
             if best_at >= 0:
+                part, rest = tour[i : i + size].copy(), np.concatenate((tour[:i], tour[i + size :]))
                 moved = part[::-1].copy() ^ 1 if is_turned else part
                 tour[:] = np.concatenate((rest[:best_at], moved, rest[best_at:]))
                 is_better = True

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 from shapely.geometry import LineString
@@ -12,14 +12,15 @@ from geometry.pose2 import Pose2
 from messages.plan import PathSectionType
 from planning.coverage.headland import APART, CornerFill, CornerTurn, HeadlandPass
 from planning.turns.connector import PathConnector, RoutePiece
-from planning.turns.departure import departure_of, placed
+from planning.turns.departure import along, arrival_along, departure_of, straightened
 from planning.turns.search import AT_ONCE_M, Connection, Leg, bounds_s, straight
 
 STRIDE = 25  # points of a pass between two candidates, 2.5 m
+SWINGS = (1.0, 0.2)  # of the slack beside an edge, which a bent edge takes itself
 CLOSING = 3  # points by which a pass overlaps its own beginning
 AROUND = 20  # points before and after an entry that are straight
 STRAIGHT_RADPM = 0.02
-MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 10, 6, 12, 8, 2
+MAX_ENTRIES, MAX_LINKS, MAX_GOALS, THOROUGH, THOROUGH_NEAR = 16, 6, 12, 8, 2
 NO_LINK_S = 100.0
 NEAR_WIDTHS = 1.5  # distance of neighbouring passes, in working widths
 
@@ -37,7 +38,7 @@ class PassDrive:
 class _Entry:
     """Where the drive over a closed pass begins and ends: at one of its points, or in a corner without its turn.
 
-    Along an edge it ends with a departure.
+    Along an edge it ends with a departure, and where the edge is bent begins with an arrival.
     """
 
     index: int
@@ -45,6 +46,7 @@ class _Entry:
     end: Pose2
     turn: CornerTurn | None = None
     departure: Leg | None = None
+    arrival: Leg | None = None
 
     @property
     def saved_s(self) -> float:
@@ -64,8 +66,8 @@ def drive_passes(
     for ring, entries in left:
         if connector.rig.trailer is not None:
             _follow(connector, ring, entries)
-        elif ring.number == 0 and not connector.rig.has_reverse:
-            entries += _departing(connector, entries)
+        elif ring.number == 0:
+            entries[:] = _beside_edge(connector, ring, entries)
     pieces: list[RoutePiece] = []
     last, number, is_last = _Entry(0, start, start), 0, False
     while number < len(left) or (goals is None and left and not is_last):
@@ -82,7 +84,8 @@ def drive_passes(
         connection, last = best
         first, *others_of_loop = _loop(ring, last)
         more = [replace(piece, continues=True) for piece in others_of_loop]
-        pieces += [*turn_pieces(connection, ring.number), first, *more]
+        arrival = () if last.arrival is None else (RoutePiece(PathSectionType.TURN, ring.number, last.arrival, False),)
+        pieces += [*turn_pieces(connection, ring.number), *arrival, first, *more]
         del left[number]
         left.sort(key=lambda other: not _is_inside(other[0], ring, connector.rig.working_width_m))
         number, is_last = 0, False  # those that were not reached before may be now
@@ -116,24 +119,23 @@ def _best(
     connector: PathConnector, last: _Entry, ring: HeadlandPass, entries: list[_Entry],
     following: tuple[HeadlandPass, list[_Entry]] | None, others: Sequence[Pose2] | None,
 ) -> tuple[Connection, _Entry] | None:  # fmt: skip
-    """Connection to the entry of least time together with the connection from there to the next pass."""
-    found: list[tuple[float, int, Connection]] = []
+    """Connection to the entry of least time together with the connection from there to the next pass.
+
+    An entry from which no turn leads to the next pass has to be left for another place.
+    """
+    links = ((n, _link(connector, last, entries[n])) for n in _by_time(connector, last, entries))
+    reached = ((n, connection) for n, connection in links if connection is not None)
     stuck: list[tuple[Connection, _Entry]] = []
-    for n in _by_time(connector, last, entries):
-        entry, connection = entries[n], _link(connector, last, entries[n])
-        if connection is None:
-            continue
-        onwards_s = _onwards_s(connector, entry, following[1] if following is not None else [])
-        if onwards_s == NO_LINK_S and not _is_left(connector, entry, others):
-            stuck.append((connection, entry))
-            continue
-        cost_s = connection.time_s - entry.saved_s + (onwards_s if following is not None else 0.0)
-        found.append((round(cost_s, 6), n, connection))
-        if len(found) == MAX_ENTRIES:
-            break
-    if found:
-        _, n, connection = min(found, key=lambda f: f[:2])
-        return connection, entries[n]
+    while tried := list(islice(reached, MAX_ENTRIES)):
+        ranked = list[tuple[float, int, bool, Connection]]()
+        for n, connection in tried:
+            onwards_s = _onwards_s(connector, entries[n], following[1] if following is not None else [])
+            cost_s = connection.time_s - entries[n].saved_s + (onwards_s if following is not None else 0.0)
+            ranked.append((round(cost_s, 6), n, onwards_s < NO_LINK_S, connection))
+        for _, n, is_linked, connection in sorted(ranked, key=lambda r: r[:2]):
+            if is_linked or _is_left(connector, entries[n], others):
+                return connection, entries[n]
+            stuck.append((connection, entries[n]))
     for connection, entry in chain(stuck[:THOROUGH_NEAR], _along(connector, last, ring, entries)):
         if _is_left(connector, entry, others) or (following and any(_along(connector, entry, *following))):
             return connection, entry
@@ -243,17 +245,45 @@ def _entries(ring: HeadlandPass, radius_m: float) -> list[_Entry]:
     return [*(_Entry(k, ring.pose(k), ring.pose(k + CLOSING)) for k in points), *corners]
 
 
-def _departing(connector: PathConnector, entries: Sequence[_Entry]) -> list[_Entry]:
-    """Entries with a departure, where the rig is free on it."""
-    rig, space = connector.rig, connector.space
+def _beside_edge(connector: PathConnector, ring: HeadlandPass, entries: Sequence[_Entry]) -> list[_Entry]:
+    """Entries of a pass along an edge, with arrivals, and also with departures, where the rig is free on them."""
+    rig = connector.rig
     if rig.config.edge_slack_m == 0.0:
-        return []
-    curve = departure_of(-rig.rear_m, rig.config.edge_slack_m)
-    legs = [placed(curve, entry.end) for entry in entries]
-    free = [space.is_free(leg.p_map_m, leg.heading_rad) for leg in legs]
-    found = [replace(e, end=legs[k].pose(-1), departure=legs[k]) for k, e in enumerate(entries) if free[k]]
-    connector.departed.update(entry.end for entry in found)
-    return found
+        return list(entries)
+    coming = departure_of(rig.front_m, rig.config.edge_slack_m)
+    leaving = [departure_of(-rig.rear_m, share * rig.config.edge_slack_m) for share in SWINGS]
+    if rig.has_reverse:
+        leaving = [straightened(curve, rig.config.smoothing_m) for curve in leaving]
+    kept, departing = list[_Entry](), list[_Entry]()
+    for entry in entries:
+        if entry.turn is not None:
+            kept.append(entry)
+            continue
+        if not _is_free(connector, straight(entry.start.ahead(-rig.line_up_m), entry.start)):
+            arrival = arrival_along(coming, _part(ring, entry.index - len(coming.p_map_m), entry.index))
+            if _is_free(connector, arrival):
+                entry = replace(entry, start=arrival.pose(0), arrival=arrival)
+        first = entry.index + CLOSING
+        legs = (along(curve, _part(ring, first, first + len(curve.p_map_m))) for curve in leaving)
+        leg = next((leg for leg in legs if _is_free(connector, leg)), None)
+        if leg is not None:
+            departing.append(replace(entry, end=leg.pose(-1), departure=leg))
+        kept.append(entry)
+    if not rig.has_reverse:
+        connector.departed.update(entry.end for entry in departing)
+    return [*kept, *departing]
+
+
+def _is_free(connector: PathConnector, leg: Leg) -> bool:
+    """Whether the rig is free on a leg and can steer it."""
+    bend = float(np.abs(leg.curvature_radpm).max())
+    return bend < 1.0 / connector.rig.radius_m and connector.space.is_free(leg.p_map_m, leg.heading_rad)
+
+
+def _part(ring: HeadlandPass, first: int, last: int) -> Leg:
+    """Part of a closed pass from one index to another, around its end."""
+    index = np.arange(first, last + 1) % (len(ring.points_m) - 1)
+    return Leg(1, ring.points_m[index], np.unwrap(ring.heading_rad[index]), ring.curvature_radpm[index])
 
 
 def _end(ring: HeadlandPass, fill: CornerFill) -> Pose2:

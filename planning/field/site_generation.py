@@ -145,14 +145,18 @@ def _gate_places(
 
 
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
-    """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError."""
+    """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError.
+
+    The edge is so far away that the tail stays inside when the machine turns off it.
+    """
     extent = _extent(vehicle, implement)
-    room = _room(outline, extent[2], work)
+    room, outer_m = _room(outline, extent[2], work), 1.0 / vehicle.drivetrain.max_curvature_radpm + extent[2]
+    off_m = work.boundary_margin_m + SPARE_M + math.hypot(outer_m, extent[0]) - outer_m + extent[2]
     for a, b in _edges(outline.polygon):
         along = (b - a) / np.hypot(*(b - a))
         out = np.array([along[1], -along[0]])
         for share in EDGE_SHARES:
-            middle = a + share * (b - a) - (work.boundary_margin_m + SPARE_M + extent[2]) * out
+            middle = a + share * (b - a) - off_m * out
             if (site := _start_at(outline, middle, along, extent, room)) is not None:
                 return site
     if (site := _site_at_centre(outline, vehicle, implement, work)) is not None:

@@ -431,7 +431,7 @@ def test_dead_end_behind_a_passage_is_left_backwards(
     assert any(path.direction < 0 for path in folded)
 
 
-@pytest.mark.parametrize("name", ["rectangle", "pond"])
+@pytest.mark.parametrize("name", ["rectangle", "round", "pond"])
 def test_pass_along_the_edge_is_left_forwards(
     name: str, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
@@ -439,6 +439,7 @@ def test_pass_along_the_edge_is_left_forwards(
     assert mission.work is not None
     polygon = {
         "rectangle": box(0.0, 0.0, 200.0, 100.0),
+        "round": Point(0, 0).buffer(40.0, quad_segs=24),
         "pond": box(0.0, 0.0, 240.0, 150.0) - Point(120, 75).buffer(25),
     }
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)

@@ -15,16 +15,18 @@ from geometry.polyline import arc_length, curvatures, headings, resample, smooth
 from geometry.pose2 import Pose2
 from geometry.rectangle import Rectangle
 from planning.turns.curve import MAX_SEGMENTS, _slopes, solve, trace
-from planning.turns.departure import departure_of, placed
+from planning.turns.departure import along, arrival_along, departure_of, straightened
 from planning.turns.free_space import FreeSpace
 from planning.turns.search import (
     MIN_RUN_M,
     Connection,
     ConnectionRequest,
+    Leg,
     TurnTimes,
     _free_ends,
     bounds_s,
     find_turn,
+    straight,
 )
 from planning.turns.transit import along_passes, both_ways
 from planning.turns.words import MAX_WORDS, SEGMENTS, end_of, words
@@ -170,7 +172,8 @@ def test_way_along_a_pass() -> None:
 
 @pytest.mark.parametrize(("tail_m", "slack_m"), [(2.4, 0.005), (4.0, 0.02)])
 def test_tail_stays_inside_on_a_departure(tail_m: float, slack_m: float) -> None:
-    leg = placed(departure_of(tail_m, slack_m), Pose2(3.0, -2.0, 0.7))
+    start = Pose2(3.0, -2.0, 0.7)
+    leg = along(departure_of(tail_m, slack_m), straight(start, start.ahead(40.0)))
     p, heading = leg.p_map_m - np.array([3.0, -2.0]), leg.heading_rad - 0.7
     away_m = p @ np.array([-math.sin(0.7), math.cos(0.7)])
     assert (away_m - tail_m * np.sin(heading)).min() > -slack_m
@@ -179,6 +182,26 @@ def test_tail_stays_inside_on_a_departure(tail_m: float, slack_m: float) -> None
     assert np.diff(leg.curvature_radpm).max() < 0.03
     travel = np.arctan2(*np.diff(leg.p_map_m, axis=0).T[::-1])
     assert travel == pytest.approx(0.5 * (leg.heading_rad[1:] + leg.heading_rad[:-1]), abs=1e-3)
+
+
+@pytest.mark.parametrize("bend_radpm", [0.0, 1.0 / 40.0, -1.0 / 30.0])
+def test_departure_and_arrival_follow_a_bent_line(bend_radpm: float) -> None:
+    curve, s = straightened(departure_of(2.4, 0.005), RAMP_M), np.arange(0.0, 30.0, 0.1)
+    heading = 0.7 + bend_radpm * s
+    middle = heading[:-1] + 0.05 * bend_radpm
+    p = np.vstack([[0.0, 0.0], np.cumsum(0.1 * np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)])
+    line = Leg(1, p, heading, np.full(len(s), bend_radpm))
+    leaving, coming = along(curve, line), arrival_along(curve, line)
+    assert leaving.pose(0)[:2] == pytest.approx(p[0], abs=1e-6)
+    assert coming.pose(-1)[:2] == pytest.approx(p[-1], abs=1e-6)
+    for leg, end in ((leaving, -1), (coming, 0)):
+        travel = np.arctan2(*np.diff(leg.p_map_m, axis=0).T[::-1])
+        turned = travel - 0.5 * (leg.heading_rad[1:] + leg.heading_rad[:-1])
+        assert np.abs(np.angle(np.exp(1j * turned))).max() < 5e-3
+        assert np.hypot(*np.diff(leg.p_map_m, axis=0).T).max() < 0.12
+        away_m = np.hypot(*(leg.p_map_m[end] - p[:, None, :]).reshape(-1, 2).T).min()
+        assert 1.5 < away_m < 3.0
+        assert leg.curvature_radpm[end] == pytest.approx(bend_radpm, abs=0.02)
 
 
 def test_slopes_of_a_curve_are_those_of_its_end() -> None:
