@@ -64,7 +64,7 @@ def excess_tilt(up: float, limit_deg: float) -> str:
     """What is awaited of a tilt, by the share `up` of the vertical along the z axis; "" for one below the limit."""
     tilt_deg = math.degrees(math.acos(min(1.0, max(-1.0, up))))
     return (
-        "" if tilt_deg <= limit_deg else f"a tilt below {limit_deg:.0f} deg, is {tilt_deg:.0f} deg (mount of the IMU?)"
+        "" if tilt_deg <= limit_deg else f"a tilt below {limit_deg:.0f} deg: is {tilt_deg:.0f} deg (mount of the IMU?)"
     )
 
 
