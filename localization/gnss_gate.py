@@ -17,6 +17,7 @@ from messages.motion import PositionSource
 from messages.sensors import GnssFix, GnssSolution
 
 Sigma = Field(gt=0.0, le=100.0)
+MAX_SPEED_MPS = 515.0  # at which civil receivers stop, by law: more is no measurement
 
 
 class SolutionConfig(Config):
@@ -94,7 +95,8 @@ class Position:
     `velocity_mps` (3,) of the antenna with sigma, NaN when unknown. `total_m` (3,) is the sigma of the fix alone, and
     `change_m` (3,) that from which its changes follow: an unknown accuracy does not make it change faster; `fast_m`
     and `white_m` (3,) are shares of it. The correlated parts have the times `correlation_s` (0: not known) and `fast_s`
-    and, where `is_estimated`, are a variable of the graph.
+    and, where `is_estimated`, are a variable of the graph. Without `has_height` z is 0, where a start begins, and no
+    measurement.
     """
 
     stamp_ns: int
@@ -114,6 +116,7 @@ class Position:
     correlation_s: float = 0.0
     fast_s: float = 0.0
     is_estimated: bool = False
+    has_height: bool = True
 
     @property
     def expected_m(self) -> Float64:
@@ -130,12 +133,13 @@ def source_of(solution: GnssSolution) -> PositionSource:
 
 
 def is_sane(fix: GnssFix) -> bool:
-    """Whether the position is finite and all values are in range (NaN sigmas, heading and velocity: unknown)."""
-    position = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
-    on_earth = abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and abs(fix.height_m) < 2e4
+    """Whether the position is finite and all values are in range (NaN height, sigmas, heading, velocity: unknown)."""
+    on_earth = (
+        abs(fix.latitude_rad) <= math.pi / 2 and abs(fix.longitude_rad) <= math.pi and not abs(fix.height_m) >= 2e4
+    )
     sigmas = fix.sigma_enu_m.shape == (3,) and not np.any((fix.sigma_enu_m < 0.0) | np.isinf(fix.sigma_enu_m))
     is_known = fix.latitude_rad != 0.0 or fix.longitude_rad != 0.0  # zeros are what receivers state without a position
-    return all(map(math.isfinite, position)) and on_earth and sigmas and is_known
+    return on_earth and sigmas and is_known
 
 
 def repeats(fix: GnssFix, last: GnssFix) -> bool:
@@ -174,16 +178,19 @@ def position_of(fix: GnssFix, datum: Datum, config: GnssConfig, rate_hz: float) 
     fast = sigma * math.sqrt(1.0 - row.slow_share**2) * math.sqrt(max(1.0, 2.0 * row.correlation_s * rate_hz))
     heading_sigma = max(fix.sigma_heading_rad, math.radians(config.heading_sigma_deg))  # NaN sigma: stays NaN, not used
     has_heading = math.isfinite(fix.heading_rad) and math.isfinite(fix.sigma_heading_rad)
-    p = np.array(datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m))
+    has_height = math.isfinite(fix.height_m)
+    p = np.array(datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m if has_height else datum.height_m))
     heading = fix.heading_rad if has_heading else math.nan
     share = config.heading_slow_share
     heading_fast, heading_slow = heading_sigma * math.sqrt(1.0 - share**2), heading_sigma * share
+    is_possible = bool(np.all(np.abs(fix.velocity_enu_mps) <= MAX_SPEED_MPS))
+    velocity_mps = fix.velocity_enu_mps if is_possible else np.full(3, math.nan)
     change = np.where(np.isnan(fix.sigma_enu_m), floor, sigma)
     fast_m, white_m = row.fast_share * change, config.white_share * change
     return Position(
         fix.stamp_ns, p, fast, sigma * row.slow_share, heading, heading_fast, heading_slow, fix.solution,
-        fix.velocity_enu_mps, fix.sigma_velocity_mps, sigma, change, fast_m, white_m, row.correlation_s,
-        config.fast_s, row.is_estimated,
+        velocity_mps, fix.sigma_velocity_mps, sigma, change, fast_m, white_m, row.correlation_s,
+        config.fast_s, row.is_estimated, has_height,
     )  # fmt: skip
 
 
@@ -225,11 +232,13 @@ class GnssGate:
     def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""
         innovation = position.p_map_m - predicted_m
+        if not position.has_height:
+            innovation[2] = 0.0
         self._recent.append(innovation)
         own = np.diag(position.expected_m**2)
         if self._is_new(position) and not self._are_consistent(np.sqrt(np.diag(own)), covariance):
             return RejectionReason.CONFIRMATION
-        tested = slice(0, 2) if position.is_estimated else slice(0, 3)  # see `has_height`
+        tested = slice(0, 2) if position.is_estimated or not position.has_height else slice(0, 3)  # see `has_height`
         if not self.passes(innovation[tested], (covariance + own)[tested, tested]):
             return RejectionReason.OUTLIER
         self.trust(position)
@@ -245,6 +254,8 @@ class GnssGate:
 
         That of code wanders by tens of metres while the position is right; one of wrong ambiguities refuses the fix.
         """
+        if not position.has_height:
+            return False
         variance = covariance[2:, 2:] + position.expected_m[2] ** 2
         return self.passes((position.p_map_m - predicted_m)[2:], variance)
 

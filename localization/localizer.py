@@ -15,7 +15,7 @@ from localization.dead_reckoning.plausibility import CODES
 from localization.dead_reckoning.wheel_track import WheelTrack
 from localization.dock_prior import DockPrior
 from localization.faults import FAULTS
-from localization.gnss_gate import RejectionReason, check, position_of, repeats
+from localization.gnss_gate import Position, RejectionReason, check, position_of, repeats
 from localization.gnss_monitor import ODOMETRY, VELOCITY
 from localization.graph.imu_preintegration import bias_sigmas
 from localization.graph.keyframes import KeyframeBuilder
@@ -197,16 +197,16 @@ class Localizer(Node):
         position = position_of(fix, self._datum, config, self._gnss_rate_hz)
         self._odometry.standstill.add(position)
         is_wrong = self._map_alignment.monitor.is_velocity_wrong(fix.stamp_ns)
-        speed_mps = math.nan if is_wrong else self._ground_speed_mps(fix, position.heading_rad)
+        speed_mps = math.nan if is_wrong else self._ground_speed_mps(position)
         if self._has_wheels:
             self._odometry.plausibility.set_reference(fix.stamp_ns, position.heading_rad, speed_mps)
         self._map_alignment.add(position)
         return True
 
-    def _ground_speed_mps(self, fix: GnssFix, heading_rad: float) -> float:
+    def _ground_speed_mps(self, fix: Position) -> float:
         """Speed over ground, negative in reverse: sign by the GNSS heading where there is one, else by the wheels."""
-        east_mps, north_mps = fix.velocity_enu_mps[:2].tolist()
-        forward_mps = east_mps * math.cos(heading_rad) + north_mps * math.sin(heading_rad)
+        east_mps, north_mps = fix.velocity_mps[:2].tolist()
+        forward_mps = east_mps * math.cos(fix.heading_rad) + north_mps * math.sin(fix.heading_rad)
         sign = forward_mps if math.isfinite(forward_mps) else self._odometry.speed_mps
         return math.copysign(math.hypot(east_mps, north_mps), sign)
 
@@ -284,8 +284,8 @@ class Localizer(Node):
             return ""
         if not len(self._odometry.track):
             return "IMU samples"
-        if standstill.obstacle and not alignment.motion_start.awaited:
-            return standstill.obstacle
+        if standstill.obstacle:
+            return "; ".join(filter(None, (standstill.obstacle, alignment.motion_start.awaited)))
         if self._gnss_ns is None:
             return "GNSS fixes"
         is_waiting = standstill.since_ns is not None and standstill.position() is None and not standstill.lacks_heading

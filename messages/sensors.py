@@ -106,8 +106,8 @@ class GnssSolution(IntEnum):
 class GnssFix(Message):
     """Position of the antenna and, with two antennas, heading of the baseline (else NaN).
 
-    `constellations` in use, such as "BDS" or "BDS+GPS". Unknown: `satellites` None, `correction_age_s`, `hdop` and
-    sigmas NaN; a solution without corrections has no age either.
+    `constellations` in use, such as "BDS" or "BDS+GPS". Unknown: `satellites` None, `height_m`, `correction_age_s`,
+    `hdop` and sigmas NaN; a solution without corrections has no age either.
     """
 
     latitude_rad: float

@@ -10,7 +10,7 @@ from configs.strict import Config
 from geometry.angles import wrap
 from geometry.arrays import Float64
 from geometry.transforms import transform
-from localization.dead_reckoning.imu_track import ImuTrack
+from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2, ImuTrack
 from localization.gnss_gate import Position
 
 
@@ -26,6 +26,7 @@ class InitialAlignmentConfig(Config):
     tilt_sigma_deg: float = Field(gt=0.0, le=10.0)
     heading_sigma_deg: float = Field(gt=0.0, le=20.0)
     velocity_sigma_mps: float = Field(gt=0.0, le=1.0)
+    max_gravity_error_mps2: float = Field(gt=0.0, le=5.0, description="of the specific force at standstill")
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,15 @@ def excess_tilt(up: float, limit_deg: float) -> str:
     """What is awaited of a tilt, by the share `up` of the vertical along the z axis; "" for one below the limit."""
     tilt_deg = math.degrees(math.acos(min(1.0, max(-1.0, up))))
     return (
-        "" if tilt_deg <= limit_deg else f"a tilt below {limit_deg:.0f} deg, is {tilt_deg:.0f} deg (mount of the IMU?)"
+        "" if tilt_deg <= limit_deg else f"a tilt below {limit_deg:.0f} deg: is {tilt_deg:.0f} deg (mount of the IMU?)"
+    )
+
+
+def wrong_gravity(force_mps2: float, limit_mps2: float) -> str:
+    """What is awaited of a specific force at standstill; "" for one that is gravity."""
+    is_gravity = abs(force_mps2 - STANDARD_GRAVITY_MPS2) <= limit_mps2
+    return (
+        "" if is_gravity else f"gravity: the specific force at standstill is {force_mps2:.1f} m/s2 (unit of the IMU?)"
     )
 
 
@@ -73,6 +82,9 @@ def mean_position(positions: list[Position]) -> InitialPosition | None:
     if 2 * len(headings) <= len(positions):
         return None
     points = np.array([p.p_map_m for p in positions])
+    heights_m = [p.p_map_m[2] for p in positions if p.has_height]
+    if heights_m:
+        points[[not p.has_height for p in positions], 2] = np.mean(heights_m)
     sigma = np.array([np.hypot(p.sigma_m, p.slow_m) for p in positions])
     if bool(np.any(np.ptp(points, axis=0) > 8.0 * np.max(sigma, axis=0))):
         return None
@@ -131,7 +143,9 @@ class Standstill:
             return None
         mean_mps2 = steps.acceleration_mps2.mean(axis=0)
         found = tilt_from_gravity(mean_mps2, steps.rate_radps.mean(axis=0))
-        self.obstacle = excess_tilt(float(mean_mps2[2]) / found.gravity_mps2, cfg.max_tilt_deg)
+        self.obstacle = wrong_gravity(found.gravity_mps2, cfg.max_gravity_error_mps2) or excess_tilt(
+            float(mean_mps2[2]) / found.gravity_mps2, cfg.max_tilt_deg
+        )
         if self.obstacle:
             return None
         sigma_mps2 = noise_mps2 * math.sqrt(min(1.0, cfg.vibration_s / cfg.window_s))

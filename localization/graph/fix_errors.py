@@ -32,8 +32,12 @@ def change_factor(start: int, end: int, fix: Position, age_s: float, correlation
 
 def position_factor(key: int, fix: Position, arm_m: Float64, has_height: bool = True) -> gtsam.NonlinearFactor:
     """Factor of a fix beside the error at its keyframe."""
-    white_m = fix.white_m if has_height else np.array([*fix.white_m[:2], NO_HEIGHT_M])
-    return antenna_factor(X(key), E(key), fix.p_map_m, arm_m, white_m)
+    return antenna_factor(X(key), E(key), fix.p_map_m, arm_m, with_height(fix.white_m, has_height))
+
+
+def with_height(sigma_m: Float64, has_height: bool) -> Float64:
+    """Sigmas (3,) of a position in `map` whose height may say nothing."""
+    return sigma_m if has_height else np.array([*sigma_m[:2], NO_HEIGHT_M])
 
 
 class FixErrors:

@@ -37,7 +37,7 @@ from localization.graph.factors import (
     velocity_factor,
     wheel_factor,
 )
-from localization.graph.fix_errors import FixErrors, position_factor
+from localization.graph.fix_errors import FixErrors, position_factor, with_height
 from localization.graph.imu_preintegration import (
     accelerometer_density,
     bias_sigmas,
@@ -309,7 +309,7 @@ class KeyframeBuilder:
         factors: list[gtsam.NonlinearFactor] = [
             position_factor(key, position, arm_m, has_height)
             if position.is_estimated
-            else gnss_factor(key, position.p_map_m, arm_m, position.sigma_m)
+            else gnss_factor(key, position.p_map_m, arm_m, with_height(position.sigma_m, position.has_height))
         ]
         if math.isfinite(position.heading_rad):
             R = guess.T_map_body

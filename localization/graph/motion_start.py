@@ -258,7 +258,8 @@ class MotionStart:
         self._add_position(graph, key, fix)
 
     def _add_position(self, graph: gtsam.NonlinearFactorGraph, key: int, fix: Position) -> None:
-        graph.add(position_factor(key, fix, self._model.antenna_m))
+        begins = key == 0 and not any(f.has_height for f in self.window.fixes)  # at height 0, by definition
+        graph.add(position_factor(key, fix, self._model.antenna_m, fix.has_height or begins))
         if math.isfinite(fix.heading_rad):
             graph.add(heading_factor(key, fix.heading_rad, math.hypot(fix.heading_sigma_rad, fix.heading_slow_rad)))
 

@@ -112,7 +112,7 @@ class Localized:
         self._fix_count += 1
         if check(fix, self.config.map_alignment.gnss) is RejectionReason.NONE:
             self._fix_ns.append(fix.stamp_ns)
-            self._fix_m.extend(self.datum.to_map(fix.latitude_rad, fix.longitude_rad, fix.height_m)[:2])
+            self._fix_m.extend(position_of(fix, self.datum, self.config.map_alignment.gnss, 1.0).p_map_m[:2])
 
     def _add_odometry(self, odom: Odometry) -> None:
         self.odometries += 1
@@ -213,8 +213,9 @@ def localize(
 
 def _first_fix(sources: Sources, config: LocalizationConfig) -> tuple[float, float, float] | None:
     for _, topic, message in sources.recording.read():
-        if topic == sources.gnss and isinstance(message, GnssFix):
-            place = message.latitude_rad, message.longitude_rad, message.height_m
-            if check(message, config.map_alignment.gnss) is RejectionReason.NONE and all(map(math.isfinite, place)):
-                return place
+        if topic != sources.gnss or not isinstance(message, GnssFix):
+            continue
+        if check(message, config.map_alignment.gnss) is RejectionReason.NONE:
+            height_m = message.height_m if math.isfinite(message.height_m) else 0.0  # unknown
+            return message.latitude_rad, message.longitude_rad, height_m
     return None

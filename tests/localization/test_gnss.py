@@ -160,3 +160,19 @@ def test_fixes_of_a_receiver_with_unknown_sigmas_are_judged_by_what_is_known():
     for fix in accepted:
         assert np.isnan(fix.sigma_enu_m).all()
         assert np.isfinite(position_of(fix, DATUM, CONFIG, 10.0).sigma_m).all()
+
+
+def test_fix_without_height():
+    fix = dataclasses.replace(GOOD, height_m=NAN)
+    assert check(fix, CONFIG) is RejectionReason.NONE
+    found, here = position_of(fix, DATUM, CONFIG, 10.0), np.array([0.0, 0.0, 7.0])  # the machine has climbed
+    assert not found.has_height
+    assert gate().evaluate(found, here, 1e-6 * np.eye(3)) is RejectionReason.NONE
+    assert not gate().has_height(found, here, 1e-6 * np.eye(3))
+    assert gate().evaluate(position(), here, 1e-6 * np.eye(3)) is RejectionReason.OUTLIER
+
+
+@pytest.mark.parametrize("speed_mps", [516.0, -1e300, math.inf])
+def test_impossible_velocity_is_no_measurement(speed_mps):
+    fix = dataclasses.replace(GOOD, velocity_enu_mps=np.array([0.0, speed_mps, 0.0]))
+    assert np.isnan(position_of(fix, DATUM, CONFIG, 10.0).velocity_mps).all()

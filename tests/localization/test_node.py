@@ -15,7 +15,7 @@ from localization.localizer import Localizer
 from messages.errors import ConfigError
 from messages.faults import Response
 from messages.motion import LidarLocalization, LidarOdometry, PositionSource
-from messages.sensors import GnssSolution
+from messages.sensors import GnssFix, GnssSolution, ImuSample
 from tests.localization.harness import Run, configuration, errors, run
 from tests.localization.synthetic_drive import DATUM, START_NS, SensorErrors, drive, tractor
 
@@ -390,3 +390,25 @@ def test_late_and_repeated_fixes_are_used_once(latency_s):
     assert max(gaps_m) < 0.05
     assert all(p.protection_level_m > gap_m for p, gap_m in zip(placed, gaps_m, strict=True))
     assert result.localizer.fixes[RejectionReason.LATE] > 200
+
+
+@pytest.mark.parametrize("has_two_antennas", [True, False])
+def test_fixes_without_height_place_the_machine(has_two_antennas):
+    truth = drive(16.0, legs=[(4.0, 0.0, 0.0), (12.0, 2.0, 0.02)])
+    update = {"height_m": math.nan} | ({} if has_two_antennas else {"heading_rad": math.nan})
+    messages = [(t, k, replace(m, **update) if isinstance(m, GnssFix) else m) for t, k, m in truth.messages]
+    last = run(messages).poses[-1]
+    assert last.is_initialized
+    error_m = np.linalg.norm((last.T_map_base - truth.at(last.stamp_ns))[:2, 3])
+    assert error_m < 0.05 < last.protection_level_m < 1.0
+
+
+def test_imu_in_units_of_gravity_is_refused_with_the_reason():
+    truth = drive(8.0, legs=[(8.0, 0.0, 0.0)])
+    in_g = [
+        (t, k, replace(m, acceleration_mps2=m.acceleration_mps2 / 9.80665) if isinstance(m, ImuSample) else m)
+        for t, k, m in truth.messages
+    ]
+    result = run(in_g)
+    assert not any(p.is_initialized for p in result.poses)
+    assert result.localizer.awaited.startswith("gravity: the specific force at standstill is 1.0 m/s2")
