@@ -19,6 +19,7 @@ from messages.command import MachineState
 from safety.hitch_angle import angles_between
 
 Floats = Float32 | Float64
+ON_GROUND_M = 0.2  # lowest point of a wheel
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ def bounding_box(points: Float64) -> Box:
 class Footprint:
     """Rectangles rigid to base, and a trailed one with its drawbar.
 
-    `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch. `hitch_rad` are the
+    `parts` are those of the machine in plan, wheels that steer at every angle; places between them are free. Without
+    parts the machine fills its rectangle. `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch. `hitch_rad` are the
     bounds of the hitch angle that can be (`safety/hitch_angle.py`); None: that of steady driving on a curvature.
     """
 
@@ -76,6 +78,7 @@ class Footprint:
     height_m: float
     mounted_height_m: float = math.inf
     hitch_rad: tuple[float, float] | None = None
+    parts: tuple[Box, ...] = ()
 
     @property
     def tops_m(self) -> tuple[float, ...]:
@@ -102,13 +105,26 @@ class Footprint:
 
 def footprint_of(vehicle: Vehicle, implement: MountedImplement | TrailedImplement | None) -> Footprint:
     """Footprint of a vehicle with its mounted or trailed implement."""
-    height_m = vehicle.body.height_m
+    height_m, parts = vehicle.body.height_m, parts_of(vehicle)
     if not isinstance(implement, TrailedImplement):
         mounted_m = math.inf if implement is None else implement.height_m + implement.lift_m
-        return Footprint(outlines(vehicle.body, implement), None, None, height_m, mounted_m)
+        return Footprint(outlines(vehicle.body, implement), None, None, height_m, mounted_m, parts=parts)
     drawbar = Drawbar(implement.hitch_m, implement.axle_length_m)
     trailed = Rectangle(-implement.total_length_m, 0.0, implement.width_m)
-    return Footprint(outlines(vehicle.body, None), trailed, drawbar, height_m)
+    return Footprint(outlines(vehicle.body, None), trailed, drawbar, height_m, parts=parts)
+
+
+def parts_of(vehicle: Vehicle) -> tuple[Box, ...]:
+    """The solids of a machine in plan; a wheel on the steered axle as the square about all its angles."""
+    parts = []
+    for solid in vehicle.body.solids.values():
+        (rear, front), (right, left) = solid.x_m, solid.y_m
+        x, y = 0.5 * (rear + front), 0.5 * (right + left)
+        is_steered = solid.z_m[0] < ON_GROUND_M and rear < vehicle.drivetrain.wheelbase_m < front
+        reach = math.hypot(front - x, left - y)
+        box = Box((x - reach, x + reach), (y - reach, y + reach)) if is_steered else Box(solid.x_m, solid.y_m)
+        parts.append(box)
+    return tuple(parts)
 
 
 @dataclass(frozen=True)
@@ -196,13 +212,17 @@ def is_inside(body: Rectangle, x_m: Floats, y_m: Floats, margin_m: float) -> np.
 
 
 def is_own(xyz: Floats, footprint: Footprint, curvature_radpm: float, margin_m: float) -> np.ndarray:
-    """Whether each point (3, N) in base lies on machine or implement, (N,) bool.
+    """Whether each point (3, N) in base lies on machine or implement, (N,) bool; not what stands between their parts.
 
     A trailed one has the middle of the angles that can be: where it has another, its returns count as an obstacle.
     """
     own = np.zeros(xyz.shape[1], bool)
-    for body in footprint.rigid:
+    for body in footprint.rigid[bool(footprint.parts) :]:
         own |= is_inside(body, xyz[0], xyz[1], margin_m)
+    if footprint.parts:
+        within = np.flatnonzero(is_inside(footprint.rigid[0], xyz[0], xyz[1], margin_m))
+        xy = xyz[:2, within].T
+        own[within] |= np.logical_or.reduce([part.enlarged(margin_m).contains(xy) for part in footprint.parts])
     if footprint.trailed is not None and footprint.drawbar is not None:
         angles = _angles(footprint.drawbar, footprint.hitch_rad, curvature_radpm)
         x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), angles[len(angles) // 2])[0]
