@@ -68,8 +68,9 @@ class Footprint:
     """Rectangles rigid to base, and a trailed one with its drawbar.
 
     `parts` are those of the machine in plan, wheels that steer at every angle; places between them are free. Without
-    parts the machine fills its rectangle. `height_m` is that of the machine, `mounted_height_m` that of a raised implement on its hitch. `hitch_rad` are the
-    bounds of the hitch angle that can be (`safety/hitch_angle.py`); None: that of steady driving on a curvature.
+    parts the machine fills its rectangle. `height_m` is that of the machine, `mounted_height_m` that of a raised
+    implement on its hitch. `hitch_rad` are the bounds of the hitch angle that can be (`safety/hitch_angle.py`); None:
+    that of steady driving on a curvature.
     """
 
     rigid: tuple[Rectangle, ...]

@@ -18,7 +18,7 @@ from itertools import pairwise
 from configs.vehicle import TrailedImplement
 from geometry.drawbar import Drawbar, steady_angle
 from geometry.rectangle import Rectangle
-from safety.zones.footprint import carriers, is_inside, is_own, outline, trailer_poses
+from safety.zones.footprint import carriers, is_inside, is_own, outline, parts_of, trailer_poses
 from tests.safety.safety_world import WAGON as NARROW_WAGON
 
 
@@ -102,6 +102,18 @@ def test_trailer_self_mask(vehicle: Vehicle) -> None:
     assert not is_own(np.array([[-3.0], [3.0], [1.0]]), footprint_of(vehicle, None), 0.2, 0.1)[0]
 
 
+def test_what_stands_between_the_parts_is_not_own(vehicle: Vehicle) -> None:
+    """Parts of the tractor: hood 0.42 m to either side, front wheel at x 2.55, rear wheel up to x 0.82; margin 0.15."""
+    footprint = footprint_of(vehicle, None)
+    places = {
+        (1.5, 0.9): False, (1.5, 0.5): True, (0.95, 0.9): True, (1.1, 0.95): False, (3.4, -0.9): False,
+        (2.55, 1.2): True, (2.0, 1.2): True, (1.5, 1.4): False, (-0.9, 0.9): True, (3.6, 0.0): True,
+    }  # fmt: skip
+    xyz = np.array([(x, y, 0.4) for x, y in places]).T
+    assert is_own(xyz, footprint, 0.0, 0.15).tolist() == list(places.values())
+    assert is_own(xyz, replace(footprint, parts=()), 0.0, 0.15).tolist() == [abs(y) <= 1.3 for _, y in places]
+
+
 WAGON = NARROW_WAGON.model_copy(update={"width_m": 3.2})
 
 
@@ -116,10 +128,10 @@ def pulling(vehicle: Vehicle) -> Footprint:
 
 
 def test_footprint_of_vehicle(vehicle: Vehicle, footprint: Footprint, pulling: Footprint) -> None:
-    machine = Rectangle(-1.0, 3.5, 2.3)
-    assert footprint_of(vehicle, None) == Footprint((machine,), None, None, 2.9)
-    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9, 0.95 + 0.6)
-    assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 3.2), Drawbar(-1.2, 4.0), 2.9)
+    machine, parts = Rectangle(-1.0, 3.5, 2.3), parts_of(vehicle)
+    assert footprint_of(vehicle, None) == Footprint((machine,), None, None, 2.9, parts=parts)
+    assert footprint == Footprint((machine, Rectangle(-2.4, -1.1, 6.1)), None, None, 2.9, 0.95 + 0.6, parts=parts)
+    assert pulling == Footprint((machine,), Rectangle(-5.5, 0.0, 3.2), Drawbar(-1.2, 4.0), 2.9, parts=parts)
     assert footprint.tops_m == (2.9, 0.95 + 0.6)
     assert pulling.tops_m == (2.9, 2.9)
     assert footprint_of(vehicle, None).tops_m == (2.9,)
