@@ -29,7 +29,7 @@ class Box:
     x_m: tuple[float, float]
     y_m: tuple[float, float]
 
-    def contains(self, xy: Float64) -> np.ndarray:
+    def contains(self, xy: Floats) -> np.ndarray:
         """Whether each point (N, 2) lies in it, (N,) bool; NaN counts as inside."""
         (x_low, x_high), (y_low, y_high) = self.x_m, self.y_m
         x, y = xy[:, 0], xy[:, 1]
