@@ -103,7 +103,7 @@ def vehicle_of(scan: Recorded) -> Vehicle:
 
 def found_by(
     vehicle: Vehicle, pipeline: Pipeline, points_m: Float64, place_m: tuple[float, float], rng: np.random.Generator
-) -> tuple[bool, bool]:
+) -> Found:
     """Whether the supervisor confirms a return near a place after scans with noise of their own, and whether the lidar
     pipeline gives an obstacle there in the last."""
     source = LidarSource(

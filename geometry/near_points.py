@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geometry.arrays import Bool, Float64, Int64
+from geometry.arrays import Bool, Float64, Int32, Int64
 from geometry.jit import kernel
 
 
@@ -27,12 +27,6 @@ def groups_of(points_m: Float64, within_m: float) -> list[Bool]:
     return [part == number for number in np.unique(part)]
 
 
-def warm() -> None:
-    """Compiles or loads the kernels, so that nothing waits for it later."""
-    is_near(np.zeros((1, 2)), np.zeros((1, 2)), 1.0)
-    groups_of(np.zeros((1, 2)), 1.0)
-
-
 @kernel
 def _is_near(points: Float64, others: Float64, within: float) -> Bool:
     """As `is_near`; the others sorted by their first coordinate."""
@@ -52,6 +46,15 @@ def _is_near(points: Float64, others: Float64, within: float) -> Bool:
 
 
 @kernel
+def root(parent: Int32 | Int64, k: int) -> int:
+    """First of the group of entry k, where `parent` (N,) leads from each entry to one of its group before it."""
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@kernel
 def _parts(cells: Int64) -> Int64:
     """Number (C,) of the lowest of the cells (C, 2; sorted, all different) that each touches by way of others."""
     part = np.arange(len(cells))
@@ -62,17 +65,10 @@ def _parts(cells: Int64) -> Int64:
             cells[after, 0] <= row or (cells[after, 0] == row + 1 and cells[after, 1] < column - 1)
         ):
             after += 1
-        for k in range(-1, 3):
-            j = i + 1 if k < 0 else after + k
-            is_next = j < len(cells) and abs(cells[j, 1] - column) <= 1 and cells[j, 0] - row == (k >= 0)
-            if not is_next:
-                continue
-            low, high = i, j
-            while part[low] != low:
-                low = part[low]
-            while part[high] != high:
-                high = part[high]
-            part[max(low, high)] = min(low, high)
+        for j in (i + 1, after, after + 1, after + 2):  # beside it, or in the next row
+            if j < len(cells) and cells[j, 0] - row <= 1 and abs(cells[j, 1] - column) <= 1:
+                one, other = root(part, i), root(part, j)
+                part[max(one, other)] = min(one, other)
     for i in range(len(cells)):
-        part[i] = part[part[i]]
+        part[i] = root(part, i)
     return part

@@ -13,7 +13,7 @@ import numpy as np
 
 from configs.vehicle import Sensors
 from geometry.arrays import Float64
-from geometry.near_points import is_near, warm
+from geometry.near_points import is_near
 from geometry.pose2 import from_frame, to_frame
 from geometry.transforms import invert
 from messages.command import ControlCommand
@@ -90,7 +90,6 @@ class CollisionMonitor:
         self, footprints: FootprintSet, sensors: Sensors, geofence: Geofence | None,
         known_structure: KnownStructure | None, config: SafetyConfig, consented_m: float = 0.0,
     ) -> None:  # fmt: skip
-        warm()
         self.sources = ObstacleSources(sensors, footprints.working, config, consented_m)
         self.swept_field: SweptField | None = None
         self.pose_history = PoseHistory()

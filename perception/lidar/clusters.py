@@ -13,6 +13,7 @@ from pydantic import Field
 from configs.strict import Config
 from geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from geometry.jit import kernel
+from geometry.near_points import root
 
 
 class ClusterConfig(Config):
@@ -124,14 +125,6 @@ def _fill_cells(
 
 
 @kernel
-def _root(parent: Int32, k: int) -> int:
-    while parent[k] != k:
-        parent[k] = parent[parent[k]]
-        k = parent[k]
-    return k
-
-
-@kernel
 def _join_cells(
     keys: Int32, number: Int32, centroid: Float64, center: Float64, width: int, cell_m: float, join_distance_m: float,
     growth: float,
@@ -146,7 +139,7 @@ def _join_cells(
         reach = join_distance_m + growth * math.hypot(x - center[0], y - center[1])
         steps = math.ceil(reach / cell_m)
         u, v = keys[k] // width, keys[k] % width
-        own = parent[n] = _root(parent, k)
+        own = parent[n] = root(parent, k)
         count = 0
         # candidates first, without branches: occupancy is not predictable
         for w in range(u, min(u + steps, width - 1) + 1):
@@ -159,14 +152,14 @@ def _join_cells(
                 continue
             dx, dy = centroid[j, 0] - x, centroid[j, 1] - y
             if dx * dx + dy * dy <= reach * reach:
-                other = _root(parent, j)
+                other = root(parent, j)
                 if other != own:
                     parent[max(own, other)] = own = min(own, other)
                 parent[j] = own
     label = np.empty(n, np.int32)
     count = 0
     for k in range(n):
-        r = _root(parent, k)
+        r = root(parent, k)
         if r == k:
             label[k] = count
             count += 1

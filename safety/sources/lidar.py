@@ -22,7 +22,7 @@ from geometry.ground_surface import (
     stand_out_of_cell,
     typical_of_blocks,
 )
-from geometry.near_points import is_near
+from geometry.near_points import groups_of, is_near
 from geometry.negative_obstacle import negative_obstacles
 from geometry.pose2 import from_frame, to_frame
 from geometry.range_image import (
@@ -381,7 +381,7 @@ class LidarSource:
 
 
 def warm(T_base_sensor: Float64) -> None:
-    """Compiles or loads the kernels of range images and of the ground, so that no scan waits for it."""
+    """Compiles or loads the kernels of range images, of the ground and of near points, so that no scan waits for it."""
     none, two = np.empty(0, np.float32), np.ones((1, 2), np.uint16)
     scan = LidarScan(0, two, np.zeros(1), np.zeros(2), np.empty((0, 3), np.float32), np.empty(0, np.uint8), none)
     image, pixels = range_image(scan.ranges_mm, scan.elevation_rad, scan.azimuth_rad), scan.pixels[scan.pixels]
@@ -405,6 +405,8 @@ def warm(T_base_sensor: Float64) -> None:
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
     heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, np.ones(1, np.int64), 0.0, 1.0, 0.5)
+    is_near(np.zeros((1, 2)), np.zeros((1, 2)), 1.0)
+    groups_of(np.zeros((1, 2)), 1.0)
 
 
 def content_of(scan: LidarScan) -> int | None:

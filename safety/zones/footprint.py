@@ -217,13 +217,14 @@ def is_own(xyz: Floats, footprint: Footprint, curvature_radpm: float, margin_m: 
 
     A trailed one has the middle of the angles that can be: where it has another, its returns count as an obstacle.
     """
-    own = np.zeros(xyz.shape[1], bool)
-    for body in footprint.rigid[bool(footprint.parts) :]:
-        own |= is_inside(body, xyz[0], xyz[1], margin_m)
+    machine, *mounted = footprint.rigid
+    own = is_inside(machine, xyz[0], xyz[1], margin_m)
     if footprint.parts:
-        within = np.flatnonzero(is_inside(footprint.rigid[0], xyz[0], xyz[1], margin_m))
+        within = np.flatnonzero(own)
         xy = xyz[:2, within].T
-        own[within] |= np.logical_or.reduce([part.enlarged(margin_m).contains(xy) for part in footprint.parts])
+        own[within] = np.logical_or.reduce([part.enlarged(margin_m).contains(xy) for part in footprint.parts])
+    for body in mounted:
+        own |= is_inside(body, xyz[0], xyz[1], margin_m)
     if footprint.trailed is not None and footprint.drawbar is not None:
         angles = _angles(footprint.drawbar, footprint.hitch_rad, curvature_radpm)
         x, y, yaw = trailer_poses(footprint.drawbar, np.zeros((1, 3)), angles[len(angles) // 2])[0]
