@@ -13,6 +13,7 @@ from geometry.ground_surface import (
     broad_tops,
     cells_in_grid,
     envelope,
+    grown_plants,
     heights_above_ground,
     heights_above_planes,
     low_levels,
@@ -405,6 +406,7 @@ def warm(T_base_sensor: Float64) -> None:
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
     heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, np.ones(1, np.int64), 0.0, 1.0, 0.5)
+    grown_plants(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 1.0)
     is_near(np.zeros((1, 2)), np.zeros((1, 2)), 1.0)
     groups_of(np.zeros((1, 2)), 1.0)
 

@@ -20,6 +20,7 @@ from geometry.arrays import Float32, Float64, quantile
 from geometry.ground_surface import (
     broad_tops,
     cells_in_grid,
+    grown_plants,
     heights_above_ground,
     plant_heights,
     stand_out_of_cell,
@@ -114,6 +115,7 @@ def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, 
     highest_m = config.highest_m(consented_m)
     steps = np.ones(tops_m.shape[1], np.int64)
     found_m = plant_heights(tops_m, config.reach_cells, steps, config.min_height_m, highest_m, config.share)
+    found_m = grown_plants(found_m, tops_m, config.min_height_m, highest_m)
     return np.maximum(found_m, even_m if even_m <= highest_m else 0.0)
 
 

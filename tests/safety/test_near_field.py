@@ -142,6 +142,18 @@ def test_plants_are_no_obstacle_with_consent_and_who_stands_in_them_is(config: S
         assert found.is_obstacle[child & (xyz[2] > 0.5)].all()
 
 
+@clause("BD-5.2.4", rule="vegetation")
+def test_edge_of_a_stand_is_no_obstacle_and_who_lies_before_it_is(config: SupervisorConfig) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        xyz = field_of(rng, 0.01)
+        is_stand = (xyz[0] + xyz[1] > 9.5) & (rng.random(xyz.shape[1]) < 0.8)
+        xyz[2, is_stand] = rng.uniform(0.12, 0.22, is_stand.sum())
+        assert not marked(xyz, AREA, config, 0.35).is_obstacle.any()
+        is_body = put_body(xyz, 0.22, (0.5, 1.2))
+        assert marked(xyz, AREA, config, 0.35).is_obstacle[is_body].mean() > 0.8
+
+
 def test_height_of_plants_around(config: SupervisorConfig) -> None:
     for height_m, consented_m in ((0.35, 0.0), (0.35, 0.35), (0.6, 0.35)):
         found = marked(crop_of(np.random.default_rng(1), height_m), AREA, config, consented_m)
