@@ -313,22 +313,6 @@ def plant_heights(tops: Float64, reach: int, steps: Int64, low: float, high: flo
     return out
 
 
-@kernel
-def grown_plants(plants: Float64, tops: Float64, low: float, high: float) -> Float64:
-    """Height of the plants of each cell (R, C) and, where the top of one without is above `low` and at most `high`,
-    the highest of those that touch it and have such a top: at the edge of a stand few cells about one have."""
-    rows, columns = plants.shape
-    out = plants.copy()
-    for i in range(rows):
-        for j in range(columns):
-            if plants[i, j] == 0.0 and low < tops[i, j] <= high:
-                for a in range(max(i - 1, 0), min(i + 2, rows)):
-                    for b in range(max(j - 1, 0), min(j + 2, columns)):
-                        if low < tops[a, b] <= high:
-                            out[i, j] = max(out[i, j], plants[a, b])
-    return out
-
-
 @inline_kernel
 def _without_pits(low: Float64) -> Float64:
     """The low heights (R, C) of the cells, infinite where three quarters of the known ones about it are more than

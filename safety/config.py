@@ -135,10 +135,12 @@ class VegetationConfig(Config):
     )
     min_near_cells: int = Field(ge=1, le=1000, description="cells there that show how high plants are above that plane")
     min_texture_m: Metres = Field(description="height of the tops of plants above the low returns between them")
+    memory_s: float = Field(gt=0.0, le=60.0, description="time constant of the memory of a lidar where plants stood")
 
-    def highest_m(self, consented_m: float) -> float:
-        """Height to which plants may be measured that are as high as the mission consents to."""
-        return consented_m + 0.5 * self.margin_m
+    @property
+    def uncertainty_m(self) -> float:
+        """Height by which plants may be measured higher than they are."""
+        return 0.5 * self.margin_m
 
 
 class AirborneConfig(Config):

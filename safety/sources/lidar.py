@@ -13,7 +13,6 @@ from geometry.ground_surface import (
     broad_tops,
     cells_in_grid,
     envelope,
-    grown_plants,
     heights_above_ground,
     heights_above_planes,
     low_levels,
@@ -61,7 +60,8 @@ from safety.sources.multiple_evaluation import (
     floats_as_a_whole,
     is_among,
 )
-from safety.sources.near_field import mark_low_obstacles, near_box
+from safety.sources.near_field import NearField, mark_low_obstacles, near_box
+from safety.sources.plant_memory import PlantMemory
 from safety.zones.footprint import Box, Footprint, enclosing, is_own
 
 NO_CELLS: tuple[Int64, Int64] = (np.empty(0, np.int64), np.empty(0, np.int64))
@@ -101,6 +101,7 @@ class LidarSource:
         self.hitch, self._mount = 1.0, lidar.mount
         self._looks_down = lidar.looks_down
         self._measures_ground = measures_ground or lidar.looks_down
+        self._plants = PlantMemory(config.near_field.cell_m, config.vegetation.memory_s)
         self._T_base_sensor = lidar.mount.T_base_sensor
         self._min_slope = math.tan(math.radians(min(lidar.elevation_deg)))
         self._slopes, self._density = expected_density(lidar, config.detection_range)
@@ -228,7 +229,22 @@ class LidarSource:
             is_more = is_hidden & level_near.is_obstacle & ~near.is_plant
             is_dense = (is_low & is_dense & ~is_more) | (is_more & level_near.is_dense & (~is_low | is_dense))
             is_low |= is_more
+        if self._consented_m > 0.0:
+            is_low &= ~self._is_where_plants_stood(xyz, near, is_low)
         return is_high | is_low, is_high, is_dense & ~is_high
+
+    def _is_where_plants_stood(self, xyz: Float32, near: NearField, is_low: Bool) -> Bool:
+        """Which returns (3, N), (N,), of these low ones do not stand out of the plants that stood there; remembers
+        those of this scan."""
+        stood = np.zeros_like(is_low)
+        plants, low = np.flatnonzero(near.is_plant), np.flatnonzero(is_low & ~near.is_plant)
+        plants_odom_m, low_odom_m = (
+            to_frame(self._pose_odom, xyz[:2, some].T.astype(np.float64)) for some in (plants, low)
+        )
+        self._plants.add(self.stamp_ns or 0, plants_odom_m, near.height_m[plants])
+        top_m = self._plants.height_m(low_odom_m)
+        stood[low] = (top_m > 0.0) & (near.height_m[low] <= top_m + self._config.vegetation.uncertainty_m)
+        return stood
 
     def _at_edge_of_hole(self, scan: LidarScan, which: Int64, xyz: Float32) -> tuple[Float32, Bool]:
         """Returns `which` (K,) of a scan at xyz (3, K), and which are of negative obstacles, (K,): these are moved to
@@ -406,7 +422,6 @@ def warm(T_base_sensor: Float64) -> None:
     above_cells(xyz, cell, np.zeros(4, np.float32), np.float32(0.0), np.float32(0.0))
     heights_above_planes(xyz, cell, np.zeros((4, 3)), corner, 1.0)
     plant_heights(np.zeros((1, 1)), 1, np.ones(1, np.int64), 0.0, 1.0, 0.5)
-    grown_plants(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 1.0)
     is_near(np.zeros((1, 2)), np.zeros((1, 2)), 1.0)
     groups_of(np.zeros((1, 2)), 1.0)
 

@@ -20,7 +20,6 @@ from geometry.arrays import Float32, Float64, quantile
 from geometry.ground_surface import (
     broad_tops,
     cells_in_grid,
-    grown_plants,
     heights_above_ground,
     plant_heights,
     stand_out_of_cell,
@@ -41,14 +40,16 @@ class NearField:
 
     `is_obstacle` (N,) bool: above the ground and no plant; `is_plant` (N,) bool: within plants that the mission
     consents to. `is_dense` (N,) bool: obstacle only because many returns of its cell are so high. `is_hidden` (N,)
-    bool: higher than counts on smooth ground, but not than on the ground about. `min_height_m`: least height that
-    counts on ground as rough as most of it. `vegetation_m`: height of the plants that cover most of the ground.
+    bool: higher than counts on smooth ground, but not than on the ground about. `height_m` (N,): above the ground, 0
+    beyond the box. `min_height_m`: least height that counts on ground as rough as most of it. `vegetation_m`: height of
+    the plants that cover most of the ground.
     """
 
     is_obstacle: np.ndarray
     is_dense: np.ndarray
     is_plant: np.ndarray
     is_hidden: np.ndarray
+    height_m: np.ndarray
     min_height_m: float
     vegetation_m: float
 
@@ -63,8 +64,9 @@ def mark_low_obstacles(
     (x_low, x_high), (y_low, y_high) = box.x_m, box.y_m
     inside = np.flatnonzero((xyz[0] > x_low) & (xyz[0] < x_high) & (xyz[1] > y_low) & (xyz[1] < y_high))
     is_obstacle, is_dense, is_plant, is_hidden = np.zeros((4, xyz.shape[1]), bool)
+    above_m = np.zeros(xyz.shape[1])
     if len(inside) == 0:
-        return NearField(is_obstacle, is_dense, is_plant, is_hidden, config.min_height_m, 0.0)
+        return NearField(is_obstacle, is_dense, is_plant, is_hidden, above_m, config.min_height_m, 0.0)
     near_xyz = xyz.take(inside, axis=1)
     shape = (cells(x_high - x_low, config.cell_m), cells(y_high - y_low, config.cell_m))
     height_m, (top_z_m, tops_m, ground_tops_m) = heights_above_ground(
@@ -104,7 +106,8 @@ def mark_low_obstacles(
     else:
         is_obstacle[inside] = height_m > least_m
     is_hidden[inside] = (height_m > config.min_height_m) & (height_m <= least_m)
-    return NearField(is_obstacle, is_dense, is_plant, is_hidden, min_height_m, even_m)
+    above_m[inside] = height_m
+    return NearField(is_obstacle, is_dense, is_plant, is_hidden, above_m, min_height_m, even_m)
 
 
 def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, consented_m: float) -> Float64:
@@ -112,10 +115,9 @@ def heights_of_plants(tops_m: Float64, config: VegetationConfig, even_m: float, 
 
     `even_m`: height of plants that cover most of the cells; they count in all, since plants also hide the ground.
     """
-    highest_m = config.highest_m(consented_m)
+    highest_m = consented_m + config.uncertainty_m
     steps = np.ones(tops_m.shape[1], np.int64)
     found_m = plant_heights(tops_m, config.reach_cells, steps, config.min_height_m, highest_m, config.share)
-    found_m = grown_plants(found_m, tops_m, config.min_height_m, highest_m)
     return np.maximum(found_m, even_m if even_m <= highest_m else 0.0)
 
 

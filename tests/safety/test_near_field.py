@@ -142,18 +142,6 @@ def test_plants_are_no_obstacle_with_consent_and_who_stands_in_them_is(config: S
         assert found.is_obstacle[child & (xyz[2] > 0.5)].all()
 
 
-@clause("BD-5.2.4", rule="vegetation")
-def test_edge_of_a_stand_is_no_obstacle_and_who_lies_before_it_is(config: SupervisorConfig) -> None:
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        xyz = field_of(rng, 0.01)
-        is_stand = (xyz[0] + xyz[1] > 9.5) & (rng.random(xyz.shape[1]) < 0.8)
-        xyz[2, is_stand] = rng.uniform(0.12, 0.22, is_stand.sum())
-        assert not marked(xyz, AREA, config, 0.35).is_obstacle.any()
-        is_body = put_body(xyz, 0.22, (0.5, 1.2))
-        assert marked(xyz, AREA, config, 0.35).is_obstacle[is_body].mean() > 0.8
-
-
 def test_height_of_plants_around(config: SupervisorConfig) -> None:
     for height_m, consented_m in ((0.35, 0.0), (0.35, 0.35), (0.6, 0.35)):
         found = marked(crop_of(np.random.default_rng(1), height_m), AREA, config, consented_m)
@@ -275,3 +263,26 @@ def test_lidar_in_crop(config: SupervisorConfig, vehicle: Vehicle, elevation_deg
         assert bool(len(source.hits_odom_m)) == sees, (consented_m, has_child)
         if has_child:
             assert np.abs(source.hits_odom_m[:, :2] - [8.0, 0.0]).max() < 0.3
+
+
+@clause("BD-5.2.4", rule="vegetation")
+def test_plants_seen_from_ahead_are_plants_at_the_edge_of_what_is_seen(
+    config: SupervisorConfig, vehicle: Vehicle
+) -> None:
+    lidar = vehicle.sensors.lidar["front"].model_copy(update={"mount": Mount(xyz_m=(3.0, 0.0, 2.0))})
+    footprint, none = footprints_of(vehicle, None).working, np.empty(0)
+    rng = np.random.default_rng(3)
+    xyz = np.concatenate([field_of(rng, 0.01) for _ in range(3)], axis=1)
+    is_plant = (xyz[0] > 6.0) & (rng.random(xyz.shape[1]) < 0.8)
+    xyz[2, is_plant] = rng.uniform(0.16, 0.22, is_plant.sum())
+    bare = xyz[:, ~is_plant | (np.abs(xyz[1]) < 0.3) & (xyz[0] > 8.5)]
+    higher = bare.copy()
+    higher[2, (np.abs(higher[1]) < 0.3) & (np.abs(higher[0] - 8.5) < 0.3)] = 0.29
+    for views, sees in (([xyz] * 6 + [bare] * 6, False), ([bare] * 6, True), ([xyz] * 6 + [higher] * 6, True)):
+        source = LidarSource("low", lidar, footprint, config, 0.35, measures_ground=True)
+        for k, view in enumerate(views):
+            points_m = np.ascontiguousarray((view - np.array([[3.0], [0.0], [2.0]])).T, np.float32)
+            stamp_ns = START_NS + k * 100_000_000
+            scan = LidarScan(stamp_ns, np.empty((0, 0), np.uint16), none, none, points_m, NO_BYTES, none.astype("f4"))
+            source.update(scan, np.zeros(3), Motion(0.0, 0.0), 0.0, AREA)
+        assert bool(len(source.hits_odom_m)) == sees
