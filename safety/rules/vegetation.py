@@ -16,7 +16,7 @@ def evaluate(situation: Situation) -> RuleResult:
     plants = f"plants of {height_m:.2f} m hide persons who lie"
     if consent is None:
         return limit(CODE, 0.0, f"{plants}; the mission has no consent to that")
-    if height_m > config.highest_m(consent.vegetation_m):
+    if height_m > consent.vegetation_m + config.uncertainty_m:
         return limit(CODE, 0.0, f"{plants}; consent up to {consent.vegetation_m:.2f} m by {consent.by}")
     return advisory(CONSENTED, f"{plants}; consent by {consent.by}")
 
