@@ -57,6 +57,7 @@ class Bystanders:
         self._pto_stop_s = pto_stop_s
         self._places: dict[int, Place] = {}
         self._coming_since_ns: dict[int, int] = {}
+        self._airborne_ns: dict[int, int] = {}  # when a track last was
         self._followers = Followers(config, tracked)
         self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
         self._at_machine_ns: tuple[int, int] | None = None  # first and last time
@@ -136,6 +137,7 @@ class Bystanders:
         """
         times_s = np.linspace(0.0, predicted_s, self._tracked.steps)
         stamp_ns = 0 if tracks is None else tracks.stamp_ns
+        self._note_airborne(() if tracks is None else tracks.tracks)
         found = [track for track in beside if self._is_coming(track, machine, times_s)]
         sides = {track.id for track in found}
         found += [
@@ -153,6 +155,14 @@ class Bystanders:
             for number, place in followed.items()
             if _gap_m(place, machine) <= (self._config.away_m if place.is_seen else self._config.lost_m)
         } | {track.id: place_of(track) for track in (*lasting, *followers, *self._arrived(near, machine))}
+
+    def _note_airborne(self, tracks: Iterable[Track]) -> None:
+        """Keeps when each of all tracks was last called airborne."""
+        last_ns = self._airborne_ns
+        self._airborne_ns = {
+            track.id: track.last_seen_ns if track.label is ObstacleClass.AIRBORNE else last_ns[track.id]
+            for track in tracks if track.label is ObstacleClass.AIRBORNE or track.id in last_ns
+        }  # fmt: skip
 
     def _arrived(self, near: Iterable[Track], machine: MachineMotion) -> list[Track]:
         """Those that have come nearer to the machine at rest since they were first seen there."""
@@ -202,13 +212,14 @@ class Bystanders:
         return max(self._config.min_coming_s, self._config.min_coming_m / at_least_mps)
 
     def _is_settled(self, track: Track) -> bool:
-        """Whether the motion of a moving track counts: it has a class, or is old enough and not high and narrow, as the
-        edge of a wall or a post is."""
+        """Whether the motion of a moving track counts: it has a class, or has had none for long enough, not that of
+        dust, and is not high and narrow, as the edge of a wall or a post is."""
         if track.label is not ObstacleClass.UNKNOWN:
             return True
         is_edge = float(track.size_m[2]) > self._config.max_unclassified_height_m
         is_edge = is_edge and length_m(track) < self._tracked.max_unclassified_length_m
-        age_s = (track.last_seen_ns - track.first_seen_ns) * 1e-9
+        since_ns = self._airborne_ns.get(track.id, track.first_seen_ns)
+        age_s = (track.last_seen_ns - since_ns) * 1e-9
         return age_s >= self._config.min_unclassified_age_s and not is_edge
 
     def _followed(self, seen: dict[int, Track]) -> Iterable[tuple[int, Place]]:

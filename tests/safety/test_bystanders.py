@@ -192,6 +192,21 @@ def test_age_of_unclassified_tracks(bystanders: Bystanders, area: SweptArea, con
         assert see(bystanders, area, replace(one, label=ObstacleClass.ANIMAL))
 
 
+@clause("BD-5.2.4")
+def test_dust_that_loses_its_class_does_not_come(area: SweptArea, config: SupervisorConfig) -> None:
+    age_s = config.bystanders.min_unclassified_age_s
+    for later_s, comes in ((0.1, False), (age_s - 0.5, False), (age_s + 0.1, True)):
+        bystanders = Bystanders(config.bystanders, config.tracked, PTO_STOP_S)
+        cloud = person(WING_X, 5.0, vy=-1.5, label=ObstacleClass.AIRBORNE, age_s=9.0)
+        take(bystanders, area, cloud)
+        stamp_ns = START_NS + round(later_s * 1e9)
+        for k in range(3):
+            seen_ns = stamp_ns + k * 10**8
+            one = replace(cloud, label=ObstacleClass.UNKNOWN, first_seen_ns=START_NS - 9 * 10**9, last_seen_ns=seen_ns)
+            take(bystanders, area, one, stamp_ns=seen_ns)
+        assert (bystanders.coming is not None) == comes
+
+
 def test_stays_until_seen_away(bystanders: Bystanders, area: SweptArea, config: SupervisorConfig) -> None:
     away = config.bystanders.away_m + 0.2  # half of the box
     assert see(bystanders, area, person(WING_X, 5.0, vy=-1.5))
