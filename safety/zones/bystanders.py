@@ -25,7 +25,15 @@ from safety.zones.departure import STILL_M
 from safety.zones.followers import Followers
 from safety.zones.machine_motion import MachineMotion
 from safety.zones.swept_area import SweptArea
-from safety.zones.tracked_obstacles import MAY_WALK, CriticalObject, box_points, length_m, predicted, speed_mps
+from safety.zones.tracked_obstacles import (
+    MAY_WALK,
+    CriticalObject,
+    box_points,
+    covers,
+    length_m,
+    predicted,
+    speed_mps,
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,7 @@ class Bystanders:
         self._coming_since_ns: dict[int, int] = {}
         self._airborne_ns: dict[int, int] = {}  # when a track last was
         self._followers = Followers(config, tracked)
-        self._first_gaps_m: dict[int, float] = {}  # of tracks near the standing machine
+        self._first: dict[int, tuple[float, Float64]] = {}  # gap and place of tracks near the standing machine
         self._at_machine_ns: tuple[int, int] | None = None  # first and last time
         self.is_in_reach, self._reached = False, DebounceTimer()
         self._at_machine_odom_m = self._confirmed_odom_m = np.empty((0, 2))
@@ -165,14 +173,16 @@ class Bystanders:
         }  # fmt: skip
 
     def _arrived(self, near: Iterable[Track], machine: MachineMotion) -> list[Track]:
-        """Those that have come nearer to the machine at rest since they were first seen there."""
+        """Those that have come nearer to the machine at rest since they were first seen there, and have left that
+        place: the box of goods that stand side by side grows and shrinks."""
         config = self._config
         bodies = [track for track in near if length_m(track) <= self._tracked.max_unclassified_length_m]
-        gaps_m = {track.id: _gap_m(place_of(track), machine) for track in bodies}
-        self._first_gaps_m = {number: self._first_gaps_m.get(number, gap_m) for number, gap_m in gaps_m.items()}
+        now = {track.id: (_gap_m(place_of(track), machine), track.p_odom_m[:2]) for track in bodies}
+        self._first = {number: self._first.get(number, one) for number, one in now.items()}
         return [
             track for track in bodies
-            if gaps_m[track.id] <= min(config.away_m, self._first_gaps_m[track.id] - config.arrived_m)
+            if now[track.id][0] <= min(config.away_m, self._first[track.id][0] - config.arrived_m)
+            and not covers(track, self._first[track.id][1])
         ]  # fmt: skip
 
     def _is_coming(self, track: Track, machine: MachineMotion, times_s: Float64) -> bool:

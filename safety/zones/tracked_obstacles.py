@@ -103,6 +103,13 @@ def box_points(track: Track) -> Float64:
     return np.column_stack([local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c]) + track.p_odom_m[:2]
 
 
+def covers(track: Track, place_odom_m: Float64) -> bool:
+    """Whether a track's box covers a place (2,)."""
+    half_m = 0.5 * track.size_m[:2]
+    own = from_frame(np.array([*track.p_odom_m[:2], track.yaw_rad]), place_odom_m[None, :])
+    return bool((np.abs(own) <= half_m).all())
+
+
 def is_ahead(
     track: Track, footprint: Footprint, pose_odom: Float64, curvature: float, direction: int, own_margin_m: float
 ) -> bool:

@@ -490,6 +490,19 @@ def test_who_arrives_by_place_alone_keeps_a_machine_at_rest(
     assert not bystanders.is_near
 
 
+def test_goods_side_by_side_do_not_arrive_as_their_box_grows(bystanders: Bystanders, area: SweptArea) -> None:
+    """Seen as one body or as two from scan to scan, beside the machine in its shed."""
+    one = person(WING_X, WING_Y + 1.6, label=ObstacleClass.UNKNOWN, size=(0.6, 0.6, 0.7))
+    both = replace(one, p_odom_m=np.array([WING_X, WING_Y + 1.1, 0.4]), size_m=np.array([0.8, 1.6, 0.8]))
+    turned = replace(both, size_m=np.array([1.6, 0.8, 0.8]), yaw_rad=0.5 * np.pi)
+    for k, track in enumerate((one, both, one, turned)):
+        take(bystanders, area, track, stamp_ns=START_NS + k * 10**8)
+        assert not bystanders.is_near
+    left = replace(both, p_odom_m=np.array([WING_X, WING_Y + 0.7, 0.4]), size_m=np.array([0.6, 0.6, 0.7]))
+    take(bystanders, area, left, stamp_ns=START_NS + 10**9)
+    assert bystanders.is_near
+
+
 @clause("BD-5.2.4")
 def test_what_is_right_at_a_machine_at_rest_keeps_it(
     bystanders: Bystanders, area: SweptArea, config: SupervisorConfig
