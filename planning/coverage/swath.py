@@ -212,9 +212,7 @@ def _with_room_to_turn(ends: Float64, rig: Rig, space: FreeSpace) -> Float64:
     return np.array(found)
 
 
-def _has_quarter_circle(
-    start_m: Float64, outwards: Float64, along: Float64, radius_m: float, space: FreeSpace
-) -> Bool:
+def _has_quarter_circle(start_m: Float64, outwards: Float64, along: Float64, radius_m: float, space: FreeSpace) -> Bool:
     """Whether a rig that heads `along` is free on a quarter circle to a side from N points, (N, 2), in a direction."""
     sideways = np.array([-outwards[1], outwards[0]])
     turn, heading_rad = QUARTER_RAD, math.atan2(along[1], along[0])

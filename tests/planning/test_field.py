@@ -284,7 +284,7 @@ def test_a_field_without_room_for_turns_names_the_end_of_its_lane(
     work = mission.work.model_copy(update={"headland": headland, "turns": "forward"})
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
     site = site_of(FieldOutline("strip", datum, box(0.0, 0.0, 120.0, 16.0)), vehicle, harrow, work)
-    with pytest.raises(FieldError, match=r"no line .* from the end of the lane at x 60.0 m, y 6.0 m .*: move it, or set turns: r"):
+    with pytest.raises(FieldError, match=r"no line .* the end of the lane at x 60.0 m, y 6.0 m .*, or set turns: rev"):
         plan_field(site, vehicle, harrow, work, planning.planner, 1)
 
 
