@@ -244,7 +244,8 @@ def main() -> int:
         if case.key in known:
             continue
         picture = arguments.out / f"{case.key.replace('/', '-')}.png" if arguments.pictures else None
-        known[case.key] = found = run_apart(case, picture, arguments.limit)
+        limit_s = max(arguments.limit, case.parcel.polygon.area / 1e4)  # a second for each hectare
+        known[case.key] = found = run_apart(case, picture, limit_s)
         if arguments.bound:
             found["workable"] = bound_of(case)
         with file.open("a") as stream:

@@ -216,7 +216,8 @@ def plan_field(
         name, (x, y) = (
             ("end of the lane", site.lanes[-1].center_m[-1]) if site.lanes else ("start", site.start.pose[:2])
         )
-        raise FieldError(f"no line of the field is reached from the {name} at {describe(site, x, y)}: move it")
+        more = "" if rig.has_reverse or rig.trailer is not None else ", or set turns: reverse"
+        raise FieldError(f"no line of the field is reached from the {name} at {describe(site, x, y)}: move it{more}")
     report("check")
     surveyed = drivable_area_of(site, work.boundary_margin_m, work.margins)
     spaces = [r.space(surveyed.allowed) for r in (rig, folded)]

@@ -29,6 +29,7 @@ from planning.turns.free_space import FreeSpace
 from planning.turns.search import AT_ONCE_M, Connection, ConnectionRequest, find_turn
 
 MIN_RING_M2 = 1.0
+SMALL_RING = 6.0  # of the area of the smallest circle: a smaller pass costs turns at each swath that it cuts in two
 MORE_OVERLAP, MUCH_BARE = (0.0, 0.1), 0.003  # of the working width; of the field, between the passes
 ROUNDING = (1.0, 1.3)  # of the turning radius; with the larger one passes end farther from the end of a narrow part
 MIN_OPEN_M = 8.0
@@ -295,10 +296,12 @@ def _fill_areas(ring: HeadlandPass, index: int, by_m: Float64, rig: Rig) -> np.n
 def _passes_in(part: Polygon, space: FreeSpace, rig: Rig, number: int) -> list[HeadlandPass]:
     """The passes of an area with corners of the smallest radius, or of a larger one where more of them is drivable."""
     leaving = _straight_on(space, rig.config.run_out_m)
+    leaves_swaths = rig.working_width_m < 2.0 * rig.radius_m  # inside the smallest circle
+    least_m2 = SMALL_RING * math.pi * rig.radius_m**2 if leaves_swaths else MIN_RING_M2
     best: tuple[int, list[HeadlandPass]] | None = None
     for factor in ROUNDING:
         undrivable, found = 0, list[HeadlandPass]()
-        for piece in parts(rounded(part, factor * rig.radius_m), MIN_RING_M2):
+        for piece in parts(rounded(part, factor * rig.radius_m), least_m2):
             for k, ring in enumerate(ring_points(piece)):
                 line = smooth(resample(ring, STEP_M), rig.config.smoothing_m, is_closed=True)
                 room = leaving if k > 0 else space

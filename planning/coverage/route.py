@@ -88,7 +88,7 @@ def route(regions: Sequence[Region], transport: FreeSpace, work: Work) -> Route:
     if connector.rig.trailer is None:
         visits += _visits_to_lines(regions, ways, work, [*visits, found])
     routes = [*visits, found]
-    worked = [piece for one in routes for piece in one.pieces]
+    worked = [*_joined(visits, ways), *found.pieces]
     if not worked:
         return Route([], [], [])
     back = [] if lane is None else _return(connector, tour, lane)
@@ -323,6 +323,21 @@ def _visit_to_line(
         if back is not None and ways.time_s((*there, *back)) < most_s:
             return _route_of(tour, [*_transport_pieces(there), *tour.pieces, *_transport_pieces(back)])
     return None
+
+
+def _joined(visits: Sequence[Route], ways: TransportWays) -> list[RoutePiece]:
+    """Pieces of visits; from one to the next by a turn of the folded rig where that is faster than by the hub."""
+    pieces = list[RoutePiece]()
+    for visit in (v for v in visits if v.pieces):
+        first = next(k for k, piece in enumerate(visit.pieces) if not piece.is_transport)
+        end = max((k + 1 for k, piece in enumerate(pieces) if not piece.is_transport), default=0)
+        turn = ways.turn(pieces[end - 1].leg.pose(-1), visit.pieces[first].leg.pose(0)) if pieces else None
+        by_hub = [piece.leg for piece in (*pieces[end:], *visit.pieces[:first])]
+        if turn is not None and turn.time_s < ways.time_s(by_hub):
+            pieces = [*pieces[:end], *_transport_pieces(turn.legs), *visit.pieces[first:]]
+        else:
+            pieces += visit.pieces
+    return pieces
 
 
 def _transport_pieces(way: Sequence[Leg]) -> list[RoutePiece]:

@@ -9,7 +9,7 @@ from shapely.affinity import rotate
 from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from geometry.arrays import Float64, runs_of
+from geometry.arrays import Bool, Float64, runs_of
 from geometry.polygon import edge_angles, parts
 from geometry.pose2 import Pose2
 from planning.rig import Rig
@@ -21,6 +21,8 @@ STEP_M = 0.1
 TURN_COST_M = 20.0  # cost of one more swath in turns, as distance
 SAME_RAD = math.radians(1.0)
 MAX_DIRECTIONS = 8
+MOST_SHORTER_M, ROOM_STEP_M = 20.0, 0.5  # of a line, for a turn forwards at its end
+QUARTER_RAD = np.radians((15.0, 30.0, 45.0, 60.0, 75.0, 90.0))
 
 
 @dataclass(frozen=True)
@@ -187,4 +189,37 @@ def _free_runs(ends: Float64, rig: Rig, space: FreeSpace) -> list[Float64]:
     free = ~space.touching(p, np.full(len(s), math.atan2(along[1], along[0])))
     runs = [(s[a] + beyond_m, s[b] - beyond_m) for a, b in runs_of(free)]
     kept = [(a, b) for a, b in runs if b - a >= rig.min_swath_m - 1e-6]
-    return [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in kept]
+    lines = [np.array([ends[0] + a * along, ends[0] + b * along]) for a, b in kept]
+    is_forward = not rig.has_reverse and rig.trailer is None
+    return [_with_room_to_turn(line, rig, space) for line in lines] if is_forward else lines
+
+
+def _with_room_to_turn(ends: Float64, rig: Rig, space: FreeSpace) -> Float64:
+    """A line (2, 2) shortened so far that a quarter circle, to either side, leads onto it and another off it.
+
+    It stays as it is where none does within `MOST_SHORTER_M` of an end.
+    """
+    length_m = float(np.hypot(*(ends[1] - ends[0])))
+    along = (ends[1] - ends[0]) / length_m
+    on_m, off_m = rig.config.line_up_m + rig.working_x_m, rig.config.run_out_m - rig.working_x_m
+    most_m = min(MOST_SHORTER_M, 0.5 * (length_m - rig.min_swath_m))
+    shorter_m = np.arange(0.0, max(most_m, ROOM_STEP_M), ROOM_STEP_M)
+    found = list[Float64]()
+    for end, inwards, straight_m in ((ends[0], along, on_m), (ends[1], -along, off_m)):
+        corners = end + (shorter_m[:, None] - straight_m) * inwards
+        is_room = _has_quarter_circle(corners, -inwards, along, rig.radius_m, space)
+        found.append(end + (shorter_m[int(np.argmax(is_room))] if is_room.any() else 0.0) * inwards)
+    return np.array(found)
+
+
+def _has_quarter_circle(start_m: Float64, outwards: Float64, along: Float64, radius_m: float, space: FreeSpace) -> Bool:
+    """Whether a rig that heads `along` is free on a quarter circle to a side from N points, (N, 2), in a direction."""
+    sideways = np.array([-outwards[1], outwards[0]])
+    turn, heading_rad = QUARTER_RAD, math.atan2(along[1], along[0])
+    found = np.zeros(len(start_m), np.bool_)
+    for side in (-1.0, 1.0):
+        arc = radius_m * (np.sin(turn)[:, None] * outwards + side * (1.0 - np.cos(turn))[:, None] * sideways)
+        p = (start_m[:, None] + arc).reshape(-1, 2)
+        is_out = space.touching(p, np.tile(heading_rad + side * turn, len(start_m)))
+        found |= ~is_out.reshape(len(start_m), -1).any(axis=1)
+    return found

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import shapely
+from shapely.affinity import rotate
 from shapely.geometry import LinearRing, LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
@@ -33,6 +34,7 @@ CENTRE_ERROR_M = 0.1
 MOST_OFF_M, BESIDE_GATE = 25.0, 20  # along the outline from where a gate is chosen; points of it to either side
 RECESS_M = 3.0  # by which the outline in a gate may be inside of its line
 EDGE_SHARES = (0.5, 0.35, 0.65, 0.2, 0.8)
+TURN_DEG = (15, 30, 45, 60, 75, 90)  # headings of the turn off an edge at which there is room
 
 
 def site_of(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
@@ -147,19 +149,26 @@ def _gate_places(
 def site_within(outline: FieldOutline, vehicle: Vehicle, implement: Implement, work: Work) -> Site:
     """Site of a bare field without gate: the start is along an edge, else furthest from all; raises FieldError.
 
-    The edge is so far away that the tail stays inside when the machine turns off it.
+    The edge is so far away that the tail stays inside when the machine turns off it. Edges come first beside which
+    there is room for that turn: no step in the outline is ahead.
     """
-    extent = _extent(vehicle, implement)
-    room, outer_m = _room(outline, extent[2], work), 1.0 / vehicle.drivetrain.max_curvature_radpm + extent[2]
+    extent, radius_m = _extent(vehicle, implement), 1.0 / vehicle.drivetrain.max_curvature_radpm
+    room, outer_m = _room(outline, extent[2], work), radius_m + extent[2]
     off_m = work.boundary_margin_m + SPARE_M + math.hypot(outer_m, extent[0]) - outer_m + extent[2]
+    shapely.prepare(room)
+    beside = list[Site]()
     for a, b in _edges(outline.polygon):
         along = (b - a) / np.hypot(*(b - a))
         out = np.array([along[1], -along[0]])
         for share in EDGE_SHARES:
             middle = a + share * (b - a) - off_m * out
-            if (site := _start_at(outline, middle, along, extent, room)) is not None:
+            if (site := _start_at(outline, middle, along, extent, room)) is None:
+                continue
+            ground, centre = Polygon(site.yard.outline_m), middle - radius_m * out
+            if all(room.covers(rotate(ground, angle, tuple(centre))) for angle in TURN_DEG):
                 return site
-    if (site := _site_at_centre(outline, vehicle, implement, work)) is not None:
+            beside.append(site)
+    if site := next(iter(beside), None) or _site_at_centre(outline, vehicle, implement, work):
         return site
     raise FieldError(f"field {outline.name!r}: no place for a machine {2.0 * extent[2]:.1f} m wide along any edge")
 

@@ -56,6 +56,14 @@ class TransportWays:
         speed_mps = {1: self.times.forward_mps, -1: self.times.reverse_mps}
         return sum(LEG_STEP_M * len(leg.p_map_m) / speed_mps[leg.direction] for leg in legs)
 
+    def turn(self, start: Pose2, goal: Pose2) -> Connection | None:
+        """Turn from a pose to another, or None."""
+        straight_m = self.space.smoothing_m / 2.0  # no step of curvature
+        if (start, goal) not in self._turns:
+            request = ConnectionRequest(start, goal, straight_m, straight_m)
+            self._turns[start, goal] = find_turn(request, self.space, self.times)
+        return self._turns[start, goal]
+
     def _there(self, pose: Pose2) -> tuple[Leg, ...] | None:
         return self._first_way([self.hub, *passed, pose] for passed in self._passed(pose))
 
@@ -75,18 +83,11 @@ class TransportWays:
             found = [
                 (way[0] + turn.time_s, (*way[1], turn))
                 for n in range(max(0, k - SKIPPED), k)
-                if (way := ways[n]) is not None and (turn := self._turn(poses[n], pose)) is not None
+                if (way := ways[n]) is not None and (turn := self.turn(poses[n], pose)) is not None
             ]
             ways.append(min(found, key=lambda f: f[0], default=None))
         last = ways[-1]
         return None if last is None else tuple(leg for turn in last[1] for leg in turn.legs)
-
-    def _turn(self, start: Pose2, goal: Pose2) -> Connection | None:
-        straight_m = self.space.smoothing_m / 2.0  # no step of curvature
-        if (start, goal) not in self._turns:
-            request = ConnectionRequest(start, goal, straight_m, straight_m)
-            self._turns[start, goal] = find_turn(request, self.space, self.times)
-        return self._turns[start, goal]
 
     def _passed(self, goal: Pose2) -> Iterator[list[Pose2]]:
         """Poses on the cheapest path over the grid to a pose, `SPACING_M` apart from the hub on, then those between

@@ -17,7 +17,7 @@ from configs.vehicle import ImplementFile, MountedImplement, Vehicle
 from messages.errors import ConfigError, FieldError
 from planning.config import PlanningConfig
 from planning.field.field import FieldOutline, read_field
-from planning.field.site_generation import site_around, site_of
+from planning.field.site_generation import site_around, site_of, site_within
 from planning.plan import plan_field
 from tests.recordings import DATA, needs
 
@@ -284,5 +284,21 @@ def test_a_field_without_room_for_turns_names_the_end_of_its_lane(
     work = mission.work.model_copy(update={"headland": headland, "turns": "forward"})
     datum = DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0)
     site = site_of(FieldOutline("strip", datum, box(0.0, 0.0, 120.0, 16.0)), vehicle, harrow, work)
-    with pytest.raises(FieldError, match=r"no line .* from the end of the lane at x 60.0 m, y 6.0 m .*: move it"):
+    with pytest.raises(FieldError, match=r"no line .* the end of the lane at x 60.0 m, y 6.0 m .*, or set turns: rev"):
         plan_field(site, vehicle, harrow, work, planning.planner, 1)
+
+
+def test_a_start_beside_an_edge_has_room_to_turn_off_it(
+    vehicle: Vehicle, harrow: MountedImplement, mission: Mission
+) -> None:
+    """The longest edges of an outline of steps are those at its ends, with a step before and behind them."""
+    down = [(4.5 + 3.0 * (k // 2), 18.0 - 2.0 * (k // 2 + k % 2)) for k in range(18)]
+    right = [*down, *((x, -y) for x, y in reversed(down[:-1]))]
+    field = Polygon([*right, *((-x, y) for x, y in reversed(right))])
+    assert mission.work is not None
+    outline = FieldOutline("steps", DatumConfig(latitude_deg=50.0, longitude_deg=10.0, height_m=0.0), field)
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    site = site_within(outline, vehicle, narrow, mission.work)
+    heading, radius_m = np.radians(site.start.heading_deg), 1.0 / vehicle.drivetrain.max_curvature_radpm
+    centre = site.start.x_m - radius_m * np.sin(heading), site.start.y_m + radius_m * np.cos(heading)
+    assert all(field.covers(affinity.rotate(Polygon(site.yard.outline_m), a, centre)) for a in range(0, 91, 10))

@@ -262,6 +262,30 @@ def test_headland_too_shallow_for_turns_forwards(
     assert plan.planned_share > share
 
 
+def test_swaths_forwards_end_where_there_is_room_to_turn(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """A strip has room for two passes, half as deep as a turn: its swaths reached to them, and none was reached."""
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    outline = FieldOutline("strip", site.datum, box(0, 0, 150, 23))
+    work = mission.work.model_copy(update={"turns": "forward"})
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.85
+
+
+def test_no_pass_around_a_small_part(
+    site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
+) -> None:
+    """A strip too narrow for a second pass, with a wider place: a circle there would cut all swaths of the strip."""
+    narrow = harrow.model_copy(update={"working_width_m": 3.0, "width_m": 3.0})
+    field = as_polygon(box(0, 0, 120, 18).union(Point(60, 9).buffer(11)))
+    work = mission.work.model_copy(update={"turns": "reverse", "headland_passes": 3})
+    outline = FieldOutline("strip", site.datum, field)
+    plan = plan_field(site_within(outline, vehicle, narrow, work), vehicle, narrow, work, planning.planner, 0)
+    assert plan.planned_share > 0.97
+    assert [p.number for p in plan.headland_passes if p.is_closed] == [0]
+
+
 def test_bent_strip_too_narrow_for_a_closed_pass(
     site: Site, vehicle: Vehicle, harrow: MountedImplement, mission: Mission, planning: PlanningConfig
 ) -> None:
