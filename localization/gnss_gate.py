@@ -212,7 +212,7 @@ class GnssGate:
 
     def __init__(self, config: GnssConfig) -> None:
         self._config = config
-        self._recent: deque[Float64] = deque(maxlen=config.confirmation_fixes)
+        self._recent: deque[tuple[Float64, Float64]] = deque(maxlen=config.confirmation_fixes)  # and variance
         self._trusted = GnssSolution.NONE
         self._accepted_ns: int | None = None
 
@@ -227,16 +227,16 @@ class GnssGate:
     @property
     def innovation_m(self) -> float:
         """Horizontal distance of the newest fix from its prediction."""
-        return float(np.linalg.norm(self._recent[-1][:2])) if self._recent else 0.0
+        return float(np.linalg.norm(self._recent[-1][0][:2])) if self._recent else 0.0
 
     def evaluate(self, position: Position, predicted_m: Float64, covariance: Float64) -> RejectionReason:
         """Tests a fix against the predicted antenna position with its covariance (3, 3)."""
         innovation = position.p_map_m - predicted_m
         if not position.has_height:
             innovation[2] = 0.0
-        self._recent.append(innovation)
+        self._recent.append((innovation, np.diag(covariance)))
         own = np.diag(position.expected_m**2)
-        if self._is_new(position) and not self._are_consistent(np.sqrt(np.diag(own)), covariance):
+        if self._is_new(position) and not self._are_consistent(np.diag(own)):
             return RejectionReason.CONFIRMATION
         tested = slice(0, 2) if position.is_estimated or not position.has_height else slice(0, 3)  # see `has_height`
         if not self.passes(innovation[tested], (covariance + own)[tested, tested]):
@@ -264,9 +264,10 @@ class GnssGate:
             return True
         return not self.is_recent(position.stamp_ns)
 
-    def _are_consistent(self, sigma_m: Float64, covariance: Float64) -> bool:
-        """Whether the spread of the last innovations agrees with their sigmas."""
+    def _are_consistent(self, variance: Float64) -> bool:
+        """Whether the spread of the last innovations agrees with their variance, and its growth in the prediction."""
         if len(self._recent) < self._config.confirmation_fixes:
             return False
-        spread = np.ptp(np.array(self._recent), axis=0)
-        return bool(np.all(spread <= 2.0 * self._config.gate_sigma * sigma_m))
+        innovations, predicted = np.array(self._recent).swapaxes(0, 1)
+        sigma_m = np.sqrt(variance + np.maximum(predicted[-1] - predicted[0], 0.0))
+        return bool(np.all(np.ptp(innovations, axis=0) <= 2.0 * self._config.gate_sigma * sigma_m))

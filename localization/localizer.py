@@ -4,6 +4,8 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from configs.site import PoseConfig, Shed
 from configs.vehicle import Vehicle
 from geometry.arrays import Float64
@@ -223,11 +225,11 @@ class Localizer(Node):
                 return
         elif self._gap_s is not None:
             odometry.resume()
-            alignment.resume(self._gap_s, odometry.speed_mps)
+            alignment.resume(self._gap_s)
         self._gap_s = None
         odometry.advance()
         if unmeasured_s > 0.0:
-            alignment.widen(unmeasured_s, odometry.speed_mps)
+            alignment.widen(unmeasured_s, np.eye(4))
         if alignment.is_initialized:
             alignment.advance()
         else:

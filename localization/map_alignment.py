@@ -33,6 +33,7 @@ from messages.motion import LidarOdometry, MapPose, PositionSource
 from messages.sensors import GnssSolution
 
 SWING_NS = 10_000_000  # two samples of 100 Hz: a body on its tyres turns evenly in that time
+REST_MPS = 0.05  # before and after a gap: the machine has not moved
 SEARCH_NS = 5_000_000_000  # standstill without an answer of the lidars, after which it is reported as missing
 
 
@@ -210,29 +211,26 @@ class MapAlignment:
         self._accept(newest)
         return True
 
-    def resume(self, gap_s: float, speed_mps: float) -> bool:
-        """Continues after a gap at the newest IMU sample with a larger covariance; False when the gap is too long."""
-        if abs(speed_mps) > 0.05 and gap_s > self._config.max_bridge_s:
+    def resume(self, gap_s: float) -> bool:
+        """Continues after a gap at the newest IMU sample, with a larger covariance; False when the gap is too long."""
+        if self._odometry.gap_speed_mps > REST_MPS and gap_s > self._config.max_bridge_s:
             self.is_initialized = False
-        return self.widen(gap_s, speed_mps)
+        return self.widen(gap_s, self._odometry.motion_in_gap(gap_s))
 
-    def widen(self, gap_s: float, speed_mps: float) -> bool:
-        """Continues at the newest IMU sample with what may have changed in a time without measurements of it."""
-        state = self.state
+    def widen(self, gap_s: float, T_before_now: Float64) -> bool:
+        """Continues at the newest IMU sample after a time without measurements, in which base has moved as assumed."""
+        state, cfg = self.state, self._config
         if state is None:
             return False
-        added_sigmas = np.repeat(
-            [
-                self._config.resume_turn_radps * min(gap_s, 1.0),
-                self._config.resume_speed_ratio * abs(speed_mps) * gap_s,
-            ],
-            3,
-        )
-        added_sigmas += 1e-3
-        T = self._T_map_odom @ self._odom_now() @ self.keyframes.lever_arms.T_base_body
+        speed_mps, most_mps = self._odometry.speed_mps, self._odometry.gap_speed_mps
+        turn_rad = cfg.resume_turn_radps * (gap_s if most_mps > REST_MPS else min(gap_s, 1.0))
+        by_speed_mps = cfg.resume_speed_ratio * most_mps
+        tilt_rad = min(turn_rad, cfg.resume_turn_radps)  # by the ground, which goes on as it was
+        added_sigmas = np.array([tilt_rad, tilt_rad, turn_rad, *np.full(3, by_speed_mps * gap_s)]) + 1e-3
+        T = self._T_map_odom @ self._odom_now() @ T_before_now @ self.keyframes.lever_arms.T_base_body
         velocity = T[:3, 0] * speed_mps
         sigmas = state.sigmas.copy()
-        sigmas[6:9] = np.maximum(sigmas[6:9], max(0.2, self._config.resume_speed_ratio * abs(speed_mps)))
+        sigmas[6:9] = np.maximum(sigmas[6:9], max(0.2, by_speed_mps))
         resumed = replace(
             state, stamp_ns=self._odometry.stamp_ns, T_map_body=T, velocity_mps=velocity,
             covariance=state.covariance + np.diag(added_sigmas**2), sigmas=sigmas,

@@ -6,7 +6,7 @@ import numpy as np
 
 from configs.vehicle import Vehicle
 from geometry.arrays import Float64
-from geometry.transforms import rpy_of, transform
+from geometry.transforms import planar, rpy_of, transform
 from localization.config import OdometryConfig
 from localization.dead_reckoning.dead_reckoning import Calibration, DeadReckoning, PoseHistory
 from localization.dead_reckoning.imu_track import STANDARD_GRAVITY_MPS2, ImuTrack, Steps
@@ -43,7 +43,7 @@ class OdometryEstimator:
         self.inertial = InertialSpeed() if wheels is None else None
         self._wheel_density = 0.0 if wheels is None else wheels.speed_sigma_mps / math.sqrt(wheels.rate_hz)
         self._imu_base_m = imu.mount.T_base_sensor[:3, 3]
-        self._rate, self._imu_mps = np.zeros(3), 0.0
+        self._rate, self._imu_mps, self._advanced_mps = np.zeros(3), 0.0, 0.0
         self._acceleration = 0.0
         self._angle, self._speed = (0.0 if wheels is not None else math.nan), 0.0
 
@@ -132,6 +132,21 @@ class OdometryEstimator:
         self.stamp_ns = self.track.last_ns
         self.history.add(self.stamp_ns, self.dead_reckoning.T_odom_base)
 
+    @property
+    def gap_speed_mps(self) -> float:
+        """The larger of the speeds before and after a gap; until `advance`."""
+        return max(abs(self._advanced_mps), abs(self.speed_mps))
+
+    def motion_in_gap(self, gap_s: float) -> Float64:
+        """Motion of base (4, 4) in a time without samples, by the means of speed and turn rate before and after."""
+        assert self.dead_reckoning is not None, "start comes first"
+        if self.gap_speed_mps <= self._config.wheels.standstill_mps:
+            return np.eye(4)
+        rate = float(self.track.last[5]) - float(self.dead_reckoning.calibration.gyro_bias_radps[2])
+        turn_rad = 0.5 * (float(self._rate[2]) + rate) * gap_s
+        path_m = 0.5 * (self._advanced_mps + self.speed_mps) * gap_s
+        return planar(path_m * math.cos(0.5 * turn_rad), path_m * math.sin(0.5 * turn_rad), turn_rad)
+
     def advance(self) -> None:
         """Integrates up to the newest IMU sample."""
         if self.dead_reckoning is None or self.track.last_ns <= self.stamp_ns:
@@ -152,6 +167,7 @@ class OdometryEstimator:
         dt = float(np.sum(steps.dt_s))
         forward = float(np.mean(steps.acceleration_mps2[:, 0])) - 9.81 * up_x
         self._acceleration += min(1.0, dt / self._config.acceleration_time_s) * (forward - self._acceleration)
+        self._advanced_mps = self.speed_mps
         self._rate = np.mean(steps.rate_radps, axis=0) - dead_reckoning.calibration.gyro_bias_radps
         rate = float(self._rate[2])
         if self.inertial is not None:

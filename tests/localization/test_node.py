@@ -196,7 +196,7 @@ def test_invalid_samples_are_dropped_and_counted():
     assert {(f"{kind}.invalid", True) for kind in ("imu", "wheel", "gnss")} <= set(codes(result))
 
 
-@pytest.mark.parametrize("gap_s", [0.8, 2.0])
+@pytest.mark.parametrize("gap_s", [0.8, 2.0, 5.5])
 def test_invalid_imu_samples_are_a_gap_to_the_next_valid_one(gap_s):
     def spoil(entry):
         arrival, topic, message = entry
@@ -204,13 +204,33 @@ def test_invalid_imu_samples_are_a_gap_to_the_next_valid_one(gap_s):
             return entry
         return arrival, topic, replace(message, rate_radps=np.full(3, math.nan))
 
-    truth = short_truth()
+    truth = drive(17, legs=[(4.0, 0.0, 0.0), (100.0, 2.0, 0.0)], sensor_errors=SensorErrors(seed=4))
     result = run(edited(truth, spoil))
     late = [p for p in result.poses if p.stamp_ns > at(10 + gap_s)]
-    assert [p.is_initialized for p in late[:5]] == [gap_s < 1.0] * 5
+    assert [p.is_initialized for p in late[:5]] == [gap_s < 5.0] * 5
     placed = [p for p in late if p.is_initialized]
     gaps_m = [float(np.linalg.norm((p.T_map_base - truth.at(p.stamp_ns))[:2, 3])) for p in placed]
     assert all(gap_m < p.protection_level_m for gap_m, p in zip(gaps_m, placed, strict=True))
+
+
+def test_a_gap_of_all_sensors_in_a_half_turn_is_bridged():
+    def without(entry):
+        arrival, topic, message = entry
+        if at(10.4) <= message.stamp_ns < at(13.4):
+            return None
+        is_late = isinstance(message, GnssFix) and message.stamp_ns > at(10.4)  # and no heading any more
+        return arrival, topic, replace(message, heading_rad=math.nan) if is_late else message
+
+    legs = [(4.0, 0.0, 0.0), (7.0, 2.5, 0.0), (100.0, 1.6, 1 / 6.0)]
+    truth = drive(17, legs=legs, sensor_errors=SensorErrors(seed=6))
+    late = [p for p in run(edited(truth, without)).poses if p.stamp_ns > at(13.4)]
+    assert all(p.is_initialized for p in late)
+    error_m = np.array([np.linalg.norm((p.T_map_base - truth.at(p.stamp_ns))[:2, 3]) for p in late])
+    level_m = np.array([p.protection_level_m for p in late])
+    assert error_m[0] > 0.3  # the turn began without a measurement
+    assert np.all(error_m < level_m)
+    assert level_m[0] > 5.0
+    assert np.max(level_m[10:]) < 0.5  # after a second
 
 
 def test_fixes_that_are_held_while_the_machine_moves_are_no_measurements():
