@@ -18,6 +18,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
+from benchmarks.localization_faults import moved
 from benchmarks.recordings import DATA
 from configs.strict import CONFIGS, load
 from datasets.importers.formats import open_recording
@@ -31,8 +32,6 @@ from runtime.localize.sources import sources_of
 from runtime.stack import load_stack
 from validation.localization.judgement import errors_of
 from validation.localization.truth import Truth, of_fixes, read_truth
-
-EARTH_M = 6_371_000.0
 
 
 @dataclass(frozen=True)
@@ -74,22 +73,12 @@ def _fix(change: Callable[[GnssFix, float, np.random.Generator], GnssFix | None]
     return lambda m, s, rng: change(m, s, rng) if isinstance(m, GnssFix) else m
 
 
-def moved(fix: GnssFix, north_m: float) -> GnssFix:
-    """The fix displaced to the north."""
-    return replace(fix, latitude_rad=fix.latitude_rad + north_m / EARTH_M)
-
-
 def _rate(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., Message | None]:
     return lambda m, s, rng: replace(m, rate_radps=change(m.rate_radps)) if isinstance(m, ImuSample) else m
 
 
 def _wheels(factor: float) -> Callable[..., Message | None]:
-    def edit(m: Message, s: float, rng: np.random.Generator) -> Message:
-        if isinstance(m, WheelSample):
-            return replace(m, speed_mps=factor * m.speed_mps)
-        return replace(m, speed_mps=factor * m.speed_mps) if isinstance(m, Odometry) else m
-
-    return edit
+    return lambda m, s, rng: replace(m, speed_mps=factor * m.speed_mps) if isinstance(m, WheelSample | Odometry) else m
 
 
 def _jitter(sigma_s: float) -> Callable[..., Message | None]:
@@ -100,8 +89,8 @@ CASES = (
     Case("as it is", lambda m, s, rng: m, 0.0),
     *(Case(f"all cut out {for_s:g} s", lambda m, s, rng: None, for_s) for for_s in (1.5, 3.0, 6.0)),
     Case("no fixes 3 s", _fix(lambda f, s, rng: None), 3.0),
-    Case("step 30 m 10 s", _fix(lambda f, s, rng: moved(f, 30.0)), 10.0),
-    Case("ramp 3 m/s 10 s", _fix(lambda f, s, rng: moved(f, 3.0 * s)), 10.0),
+    Case("step 30 m 10 s", _fix(lambda f, s, rng: moved(f, 0.0, 30.0)), 10.0),
+    Case("ramp 3 m/s 10 s", _fix(lambda f, s, rng: moved(f, 0.0, 3.0 * s)), 10.0),
     Case("gyro step 2 deg/s", _rate(lambda w: w + math.radians(2.0))),
     Case("wheels at zero", _wheels(0.0), 15.0),
     Case("wheels negated", _wheels(-1.0)),

@@ -164,13 +164,11 @@ class Bystanders:
             if _gap_m(place, machine) <= (self._config.away_m if place.is_seen else self._config.lost_m)
         } | {track.id: place_of(track) for track in (*lasting, *followers, *self._arrived(near, machine))}
 
-    def _note_airborne(self, tracks: Iterable[Track]) -> None:
+    def _note_airborne(self, tracks: Sequence[Track]) -> None:
         """Keeps when each of all tracks was last called airborne."""
-        last_ns = self._airborne_ns
-        self._airborne_ns = {
-            track.id: track.last_seen_ns if track.label is ObstacleClass.AIRBORNE else last_ns[track.id]
-            for track in tracks if track.label is ObstacleClass.AIRBORNE or track.id in last_ns
-        }  # fmt: skip
+        before = {track.id: self._airborne_ns[track.id] for track in tracks if track.id in self._airborne_ns}
+        now = {track.id: track.last_seen_ns for track in tracks if track.label is ObstacleClass.AIRBORNE}
+        self._airborne_ns = before | now
 
     def _arrived(self, near: Iterable[Track], machine: MachineMotion) -> list[Track]:
         """Those that have come nearer to the machine at rest since they were first seen there, and have left that

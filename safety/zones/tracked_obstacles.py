@@ -103,11 +103,12 @@ def box_points(track: Track) -> Float64:
     return np.column_stack([local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c]) + track.p_odom_m[:2]
 
 
-def covers(track: Track, place_odom_m: Float64) -> bool:
-    """Whether a track's box covers a place (2,)."""
-    half_m = 0.5 * track.size_m[:2]
-    own = from_frame(np.array([*track.p_odom_m[:2], track.yaw_rad]), place_odom_m[None, :])
-    return bool((np.abs(own) <= half_m).all())
+def covers(track: Track, place_odom_m: Float64, margin_m: float = 0.0) -> bool:
+    """Whether a track's box with a margin covers a place (2,)."""
+    pose_odom = np.array([*track.p_odom_m[:2], track.yaw_rad])
+    along, across = point_from_frame(pose_odom, *place_odom_m.tolist())
+    length, width = track.size_m[:2].tolist()
+    return bool(abs(along) <= 0.5 * length + margin_m and abs(across) <= 0.5 * width + margin_m)
 
 
 def is_ahead(
@@ -154,10 +155,7 @@ def is_fragment_of(track: Track, static: Sequence[Track], margin_m: float) -> bo
     for other in static:
         if other.id == track.id or length_m(other) <= length_m(track) or velocity_sigma_mps(other) > speed_mps(track):
             continue
-        c, s = math.cos(other.yaw_rad), math.sin(other.yaw_rad)
-        dx, dy = (track.p_odom_m[:2] - other.p_odom_m[:2]).tolist()
-        along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
-        if along <= 0.5 * other.size_m[0] + margin_m and across <= 0.5 * other.size_m[1] + margin_m:
+        if covers(other, track.p_odom_m[:2], margin_m):
             return True
     return False
 
